@@ -1,0 +1,98 @@
+//! Grey images in memory. Pixel (u, v) has its centre at integer coordinates.
+
+/// What a pixel can be: 8 or 16 bits of grey.
+pub trait Pixel: Copy + Default + Ord + Send + Sync + std::fmt::Debug + Into<f32> + 'static {
+    /// The value at which the sensor saturates.
+    const MAX: f32;
+    /// Bits a pixel.
+    const BITS: u32;
+    /// Rounded and clamped from a float (in the pixel's own units).
+    fn from_f32(value: f32) -> Self;
+}
+
+impl Pixel for u8 {
+    const MAX: f32 = 255.0;
+    const BITS: u32 = 8;
+    #[inline]
+    fn from_f32(value: f32) -> Self {
+        value.round() as u8 // saturates
+    }
+}
+
+impl Pixel for u16 {
+    const MAX: f32 = 65535.0;
+    const BITS: u32 = 16;
+    #[inline]
+    fn from_f32(value: f32) -> Self {
+        value.round() as u16 // saturates
+    }
+}
+
+/// A grey image, row by row without padding.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image<P> {
+    width: usize,
+    height: usize,
+    pixels: Vec<P>,
+}
+
+impl<P: Pixel> Image<P> {
+    /// An image of one value.
+    pub fn new(width: usize, height: usize, value: P) -> Self {
+        Self {
+            width,
+            height,
+            pixels: vec![value; width * height],
+        }
+    }
+
+    /// From rows of pixels; `None` if their number is not width × height.
+    pub fn from_vec(width: usize, height: usize, pixels: Vec<P>) -> Option<Self> {
+        (pixels.len() == width * height).then_some(Self {
+            width,
+            height,
+            pixels,
+        })
+    }
+
+    /// Pixels in a row.
+    #[inline]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[inline]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row by row.
+    #[inline]
+    pub fn pixels(&self) -> &[P] {
+        &self.pixels
+    }
+
+    /// All pixels, row by row, to write.
+    #[inline]
+    pub fn pixels_mut(&mut self) -> &mut [P] {
+        &mut self.pixels
+    }
+
+    /// Row v.
+    #[inline]
+    pub fn row(&self, v: usize) -> &[P] {
+        &self.pixels[v * self.width..(v + 1) * self.width]
+    }
+
+    /// The pixel in column u of row v.
+    #[inline]
+    pub fn at(&self, u: usize, v: usize) -> P {
+        self.row(v)[u]
+    }
+
+    /// Its pixels, row by row.
+    pub fn into_vec(self) -> Vec<P> {
+        self.pixels
+    }
+}
