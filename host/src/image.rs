@@ -1,7 +1,9 @@
 //! Grey images in memory. Pixel (u, v) has its centre at integer coordinates.
 
 /// What a pixel can be: 8 or 16 bits of grey.
-pub trait Pixel: Copy + Default + Ord + Send + Sync + std::fmt::Debug + Into<f32> + 'static {
+pub trait Pixel:
+    Copy + Default + Ord + Send + Sync + std::fmt::Debug + Into<f32> + 'static
+{
     /// The value at which the sensor saturates.
     const MAX: f32;
     /// Bits a pixel.

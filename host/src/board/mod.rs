@@ -71,7 +71,9 @@ pub enum NotFound {
     #[error("glare hides part of the board")]
     Glare,
     /// A grid was found, but not of the size asked for.
-    #[error("found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for")]
+    #[error(
+        "found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for"
+    )]
     WrongCount {
         /// Corners found along the longer side.
         found_columns: usize,

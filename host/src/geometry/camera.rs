@@ -160,14 +160,29 @@ impl Camera {
             self.fy * d.m21,
             self.fy * d.m22,
         );
-        let by_point =
-            by_normalised * Matrix2x3::new(iz, 0.0, -x * iz, 0.0, iz, -y * iz);
+        let by_point = by_normalised * Matrix2x3::new(iz, 0.0, -x * iz, 0.0, iz, -y * iz);
         let r2 = x * x + y * y;
         let (r4, r6) = (r2 * r2, r2 * r2 * r2);
         let (fx, fy) = (self.fx, self.fy);
         let by_camera = SMatrix::<f64, 2, PARAMETERS>::from_row_slice(&[
-            xd, 0.0, 1.0, 0.0, fx * x * r2, fx * x * r4, fx * 2.0 * x * y, fx * (r2 + 2.0 * x * x), fx * x * r6, //
-            0.0, yd, 0.0, 1.0, fy * y * r2, fy * y * r4, fy * (r2 + 2.0 * y * y), fy * 2.0 * x * y, fy * y * r6,
+            xd,
+            0.0,
+            1.0,
+            0.0,
+            fx * x * r2,
+            fx * x * r4,
+            fx * 2.0 * x * y,
+            fx * (r2 + 2.0 * x * x),
+            fx * x * r6, //
+            0.0,
+            yd,
+            0.0,
+            1.0,
+            fy * y * r2,
+            fy * y * r4,
+            fy * (r2 + 2.0 * y * y),
+            fy * 2.0 * x * y,
+            fy * y * r6,
         ]);
         Some(ProjectionJacobian {
             pixel: Vector2::new(fx * xd + self.u0, fy * yd + self.v0),

@@ -1,10 +1,12 @@
 //! Cameras, poses, planes, rays: the mathematics that every stage shares. Knows no images.
 
 mod camera;
+mod homography;
 mod plane;
 mod pose;
 
 pub use camera::{Camera, Distortion, PARAMETERS, ProjectionJacobian};
+pub use homography::Homography;
 pub use plane::{Plane, tangent_basis};
 pub use pose::Pose;
 

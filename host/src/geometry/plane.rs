@@ -82,7 +82,12 @@ mod tests {
 
     #[test]
     fn the_basis_is_right_handed() {
-        for n in [Vector3::z(), Vector3::y(), -Vector3::x(), Vector3::new(0.6, 0.0, 0.8)] {
+        for n in [
+            Vector3::z(),
+            Vector3::y(),
+            -Vector3::x(),
+            Vector3::new(0.6, 0.0, 0.8),
+        ] {
             let b = tangent_basis(&n);
             assert!((b.column(0).cross(&b.column(1)) - n).norm() < 1e-14);
         }

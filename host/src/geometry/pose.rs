@@ -22,7 +22,10 @@ impl Pose {
     /// The inverse motion of [`Pose::apply`].
     #[inline]
     pub fn apply_inverse(&self, p: &Point3) -> Point3 {
-        Point3::from(self.rotation.inverse_transform_vector(&(p.coords - self.translation)))
+        Point3::from(
+            self.rotation
+                .inverse_transform_vector(&(p.coords - self.translation)),
+        )
     }
 
     /// ∂(R·P + T)/∂(ω, τ) for the update R ← exp(ω)·R, T ← T + τ.
@@ -31,7 +34,8 @@ impl Pose {
         let r = self.rotation * p.coords;
         let mut j = SMatrix::<f64, 3, 6>::zeros();
         j.fixed_view_mut::<3, 3>(0, 0).copy_from(&-r.cross_matrix());
-        j.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+        j.fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&Matrix3::identity());
         j
     }
 
@@ -67,7 +71,8 @@ mod tests {
             d[i] = 1e-6;
             let w = Vector3::new(d[0], d[1], d[2]);
             let t = Vector3::new(d[3], d[4], d[5]);
-            let numeric = (pose.updated(&w, &t).apply(&p) - pose.updated(&-w, &-t).apply(&p)) / 2e-6;
+            let numeric =
+                (pose.updated(&w, &t).apply(&p) - pose.updated(&-w, &-t).apply(&p)) / 2e-6;
             assert!((numeric - j.column(i)).norm() < 1e-6);
         }
         assert!((pose.apply_inverse(&pose.apply(&p)) - p).norm() < 1e-12);
