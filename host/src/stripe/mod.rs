@@ -1,4 +1,9 @@
 //! Stripe centres at sub-pixel accuracy, each with a variance and a quality.
+//!
+//! [`hand`] finds the stripe on skin in a frame of a scan, [`board`] on the checkerboard.
+
+pub mod board;
+pub mod hand;
 
 use crate::geometry::Vector2;
 
@@ -17,4 +22,64 @@ pub struct StripePoint {
     pub width_px: f32,
     /// 0 (worthless) to 1 (a clean, unsaturated, well-fitted profile).
     pub quality: f32,
+}
+
+/// The image axis along which a stripe is searched and its centre measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Axis {
+    /// The stripe runs across the image: one centre in each column.
+    #[default]
+    Columns,
+    /// The stripe runs down the image: one centre in each row.
+    Rows,
+}
+
+/// Why no stripe was measured.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StripeError {
+    /// The two images of a pair differ in size.
+    #[error(
+        "the image with the laser is {on_width} × {on_height}, the one without {off_width} × {off_height}: take both with the same settings"
+    )]
+    Size {
+        /// Width with the laser on, px.
+        on_width: usize,
+        /// Height with the laser on, px.
+        on_height: usize,
+        /// Width with the laser off, px.
+        off_width: usize,
+        /// Height with the laser off, px.
+        off_height: usize,
+    },
+    /// The image without the laser shows the stripe.
+    #[error("the stripe is in the image without the laser: on and off are swapped")]
+    Swapped,
+    /// No stripe was found.
+    #[error(
+        "no stripe: {found} columns show one where at least {needed} should (laser off, too dim, or not on the target)"
+    )]
+    NoStripe {
+        /// Columns (or rows) with something like a stripe.
+        found: usize,
+        /// The least number of them.
+        needed: usize,
+    },
+    /// The scene changed between the two images.
+    #[error(
+        "the two images differ by {grey:.0} grey values away from the stripe: the scene or its lighting changed between them"
+    )]
+    SceneChanged {
+        /// Median |on − off| off the stripe.
+        grey: f32,
+    },
+    /// The corners do not outline a board.
+    #[error("{given} corners given for a board of {columns} × {rows}, or they do not lie on a grid")]
+    Corners {
+        /// Corners given.
+        given: usize,
+        /// Inner corners along the long side.
+        columns: usize,
+        /// Inner corners along the short side.
+        rows: usize,
+    },
 }
