@@ -73,7 +73,9 @@ pub enum StripeError {
         grey: f32,
     },
     /// The corners do not outline a board.
-    #[error("{given} corners given for a board of {columns} × {rows}, or they do not lie on a grid")]
+    #[error(
+        "{given} corners given for a board of {columns} × {rows}, or they do not lie on a grid"
+    )]
     Corners {
         /// Corners given.
         given: usize,
