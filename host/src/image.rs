@@ -10,6 +10,12 @@ pub trait Pixel:
     const BITS: u32;
     /// Rounded and clamped from a float (in the pixel's own units).
     fn from_f32(value: f32) -> Self;
+    /// From 8-bit samples, scaled to the full range.
+    fn from_bytes(samples: Vec<u8>) -> Vec<Self>;
+    /// From 16-bit samples, scaled to the full range.
+    fn from_words(samples: Vec<u16>) -> Vec<Self>;
+    /// The samples as a file holds them, high byte first.
+    fn to_be_bytes(pixels: &[Self]) -> std::borrow::Cow<'_, [u8]>;
 }
 
 impl Pixel for u8 {
@@ -19,6 +25,15 @@ impl Pixel for u8 {
     fn from_f32(value: f32) -> Self {
         value.round() as u8 // saturates
     }
+    fn from_bytes(samples: Vec<u8>) -> Vec<Self> {
+        samples
+    }
+    fn from_words(samples: Vec<u16>) -> Vec<Self> {
+        samples.iter().map(|s| (s / 257) as u8).collect()
+    }
+    fn to_be_bytes(pixels: &[Self]) -> std::borrow::Cow<'_, [u8]> {
+        pixels.into()
+    }
 }
 
 impl Pixel for u16 {
@@ -27,6 +42,15 @@ impl Pixel for u16 {
     #[inline]
     fn from_f32(value: f32) -> Self {
         value.round() as u16 // saturates
+    }
+    fn from_bytes(samples: Vec<u8>) -> Vec<Self> {
+        samples.iter().map(|s| u16::from(*s) * 257).collect()
+    }
+    fn from_words(samples: Vec<u16>) -> Vec<Self> {
+        samples
+    }
+    fn to_be_bytes(pixels: &[Self]) -> std::borrow::Cow<'_, [u8]> {
+        pixels.iter().flat_map(|p| p.to_be_bytes()).collect()
     }
 }
 

@@ -18,8 +18,11 @@
 
 pub mod board;
 pub mod calibration;
+pub mod cli;
 pub mod cloud;
 pub mod geometry;
 pub mod image;
 pub mod needle;
+pub mod progress;
+pub mod session;
 pub mod stripe;

@@ -1,0 +1,67 @@
+//! The command line: one file per command, each with its `Args` and `run(args, &Output)`. This one
+//! only lists them.
+//!
+//! Exit status 0 when the job is done, 2 for bad arguments, 1 for anything else with one sentence
+//! on standard error. `--json` prints the result object to standard output, and nothing else there.
+
+mod angle;
+mod calibrate;
+mod output;
+mod process;
+
+pub use output::Output;
+
+use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+
+/// Laser-line scanner and needle-angle decision for venipuncture-robot research.
+#[derive(Parser, Debug)]
+#[command(name = "cannula", version, propagate_version = true)]
+struct Cli {
+    #[command(flatten)]
+    global: output::Options,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Calibrate camera and light planes from a session.
+    Calibrate(calibrate::Args),
+    /// Cloud, plane, angle and needle axis from a session and a calibration.
+    Angle(angle::Args),
+    /// Calibrate and angle in one go, with the report.
+    Process(process::Args),
+}
+
+fn run(command: Command, out: &Output) -> anyhow::Result<()> {
+    match command {
+        Command::Calibrate(args) => calibrate::run(args, out),
+        Command::Angle(args) => angle::run(args, out),
+        Command::Process(args) => process::run(args, out),
+    }
+}
+
+/// Runs the program with its arguments (the first is its name); gives the exit status.
+pub fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(e) => {
+            // Help and version are no errors: clap knows where each goes.
+            let _ = e.print();
+            return if e.use_stderr() { 2 } else { 0 };
+        }
+    };
+    let out = Output::new(&cli.global);
+    if let Err(e) = cli.global.apply() {
+        out.error(&e);
+        return 2;
+    }
+    match run(cli.command, &out) {
+        Ok(()) => 0,
+        Err(e) => {
+            out.error(&e);
+            if e.is::<output::BadArgument>() { 2 } else { 1 }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Writing a recording: session.json whole or not at all, and its images.
+
+use super::check::check;
+use super::error::SessionError;
+use super::model::Manifest;
+use crate::image::{Image, Pixel};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Checks `manifest` and writes it as `session.json` into `folder` (made if it is not there).
+/// The file appears whole or not at all. Gives its path.
+pub fn write(folder: &Path, manifest: &Manifest) -> Result<PathBuf, SessionError> {
+    let path = folder.join("session.json");
+    check(manifest, &path)?;
+    let io = |source| SessionError::Io {
+        path: path.clone(),
+        source,
+    };
+    std::fs::create_dir_all(folder).map_err(io)?;
+    let text = serde_json::to_vec_pretty(manifest).map_err(|e| io(e.into()))?;
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(io)?;
+    file.write_all(&text).map_err(io)?;
+    file.as_file().sync_all().map_err(io)?;
+    file.persist(&path).map_err(|e| io(e.error))?;
+    Ok(path)
+}
+
+/// Writes a grey image as PNG (of 8 or 16 bits, as its pixels are), making its folder.
+pub fn write_png<P: Pixel>(path: &Path, image: &Image<P>) -> Result<(), SessionError> {
+    let io = |source| SessionError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(io)?;
+    }
+    let file = std::io::BufWriter::new(std::fs::File::create(path).map_err(io)?);
+    let mut encoder = png::Encoder::new(file, image.width() as u32, image.height() as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(if P::BITS > 8 {
+        png::BitDepth::Sixteen
+    } else {
+        png::BitDepth::Eight
+    });
+    encoder.set_compression(png::Compression::Fast);
+    encoder
+        .write_header()
+        .and_then(|mut w| w.write_image_data(&P::to_be_bytes(image.pixels())))
+        .map_err(|e| io(e.into()))
+}
