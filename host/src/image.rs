@@ -8,6 +8,8 @@ pub trait Pixel:
     const MAX: f32;
     /// Bits a pixel.
     const BITS: u32;
+    /// The value as it stands, in 16 bits.
+    fn to_u16(self) -> u16;
     /// Rounded and clamped from a float (in the pixel's own units).
     fn from_f32(value: f32) -> Self;
     /// From 8-bit samples, scaled to the full range.
@@ -21,6 +23,10 @@ pub trait Pixel:
 impl Pixel for u8 {
     const MAX: f32 = 255.0;
     const BITS: u32 = 8;
+    #[inline]
+    fn to_u16(self) -> u16 {
+        u16::from(self)
+    }
     #[inline]
     fn from_f32(value: f32) -> Self {
         value.round() as u8 // saturates
@@ -39,6 +45,10 @@ impl Pixel for u8 {
 impl Pixel for u16 {
     const MAX: f32 = 65535.0;
     const BITS: u32 = 16;
+    #[inline]
+    fn to_u16(self) -> u16 {
+        self
+    }
     #[inline]
     fn from_f32(value: f32) -> Self {
         value.round() as u16 // saturates

@@ -44,36 +44,120 @@ pub struct Corner {
 }
 
 /// A whole board found in an image.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Detection {
     /// All corners, in the order of [`BoardGeometry::point`].
     pub corners: Vec<Corner>,
-    /// Standard deviation of the edge blur that the fit found, px.
+    /// Standard deviation of the edge blur that the fit found (median over the corners), px: the
+    /// point spread alone, the pixel's own area taken out.
     pub blur_px: f64,
+    /// Corners along the board's x axis.
+    pub columns: usize,
+    /// Corners along the board's y axis.
+    pub rows: usize,
+    /// What a user needs to know to take a better image.
+    pub quality: Quality,
+}
+
+/// How well a board was seen. Grey values are in the image's own units.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Quality {
+    /// Shortest and longest side of a square, px.
+    pub square_px: [f64; 2],
+    /// Grey of the white squares (median over the corners).
+    pub white: f64,
+    /// Grey of the black squares (median over the corners).
+    pub black: f64,
+    /// Standard deviation of the noise on the black and on the white squares.
+    pub noise: [f64; 2],
+    /// Each corner's misfit: root mean square residual over the noise that the whole board shows
+    /// (1 where the model holds).
+    pub misfit: Vec<f64>,
+    /// Each corner's part of the patch left out as foreign (a laser stripe, dirt), 0 to 1.
+    pub masked: Vec<f64>,
+    /// Part of the white squares that is saturated, 0 to 1.
+    pub saturated: f64,
+}
+
+/// Edges of the image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sides {
+    /// The edge at u = 0.
+    pub left: bool,
+    /// The edge at the largest u.
+    pub right: bool,
+    /// The edge at v = 0.
+    pub top: bool,
+    /// The edge at the largest v.
+    pub bottom: bool,
+}
+
+impl std::fmt::Display for Sides {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names = [
+            (self.left, "left"),
+            (self.right, "right"),
+            (self.top, "top"),
+            (self.bottom, "bottom"),
+        ];
+        let mut first = true;
+        for (_, name) in names.iter().filter(|(set, _)| *set) {
+            write!(f, "{}{name}", if first { "" } else { " and " })?;
+            first = false;
+        }
+        Ok(())
+    }
 }
 
 /// Why no board was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotFound {
-    /// Nothing in the image looks like a checkerboard corner.
-    #[error("no checkerboard corners in the image")]
-    NoCorners,
+    /// Nothing in the image looks like a checkerboard.
+    #[error("no checkerboard in the image ({seen} single corners seen)")]
+    NoCorners {
+        /// Places that look like a corner but form no grid.
+        seen: usize,
+    },
+    /// The image is all of one brightness.
+    #[error("the image is empty (grey {darkest:.0} to {brightest:.0}): check light, exposure and lens cap")]
+    NoContrast {
+        /// Grey exceeded by 99 % of the image.
+        darkest: f64,
+        /// Grey exceeded by 1 % of the image.
+        brightest: f64,
+    },
     /// Part of the board lies outside the image.
-    #[error("the board is partly outside the image")]
-    PartlyOutside,
+    #[error("the board is cut off by the image's {sides} edge ({seen} corners seen)")]
+    PartlyOutside {
+        /// Corners seen.
+        seen: usize,
+        /// Edges of the image that cut it.
+        sides: Sides,
+    },
     /// The edges are too soft.
-    #[error("the image is too blurred (edge blur {blur_px:.1} px)")]
+    #[error("the image is too blurred (edge blur {blur_px:.1} px, at most {limit_px:.1} px for this board): focus, or hold the board still")]
     TooBlurred {
         /// Estimated blur, px.
         blur_px: f64,
+        /// The most that would do, px.
+        limit_px: f64,
     },
     /// A saturated spot hides corners.
-    #[error("glare hides part of the board")]
-    Glare,
+    #[error("glare hides {hidden} of the board's corners: tilt the board or move the light")]
+    Glare {
+        /// Corners in the saturated spot.
+        hidden: usize,
+    },
+    /// Something stands before the board, or it lies in a shadow.
+    #[error("{} of the board's corners are hidden, the first near pixel ({:.0}, {:.0})", hidden, near.x, near.y)]
+    Hidden {
+        /// Corners not seen.
+        hidden: usize,
+        /// Where one of them should be.
+        near: Vector2,
+    },
     /// A grid was found, but not of the size asked for.
-    #[error(
-        "found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for"
-    )]
+    #[error("found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for")]
     WrongCount {
         /// Corners found along the longer side.
         found_columns: usize,
@@ -89,7 +173,7 @@ pub enum NotFound {
 /// Finds the board and its corners.
 pub fn detect<P: Pixel>(image: &Image<P>, geometry: &BoardGeometry) -> Result<Detection, NotFound> {
     let _ = (image, geometry);
-    Err(NotFound::NoCorners)
+    Err(NotFound::NoCorners { seen: 0 })
 }
 
 /// Renumbers `detection` so that it agrees with `reference` (another image of the same pose): of
