@@ -119,7 +119,9 @@ pub enum NotFound {
         seen: usize,
     },
     /// The image is all of one brightness.
-    #[error("the image is empty (grey {darkest:.0} to {brightest:.0}): check light, exposure and lens cap")]
+    #[error(
+        "the image is empty (grey {darkest:.0} to {brightest:.0}): check light, exposure and lens cap"
+    )]
     NoContrast {
         /// Grey exceeded by 99 % of the image.
         darkest: f64,
@@ -135,7 +137,9 @@ pub enum NotFound {
         sides: Sides,
     },
     /// The edges are too soft.
-    #[error("the image is too blurred (edge blur {blur_px:.1} px, at most {limit_px:.1} px for this board): focus, or hold the board still")]
+    #[error(
+        "the image is too blurred (edge blur {blur_px:.1} px, at most {limit_px:.1} px for this board): focus, or hold the board still"
+    )]
     TooBlurred {
         /// Estimated blur, px.
         blur_px: f64,
@@ -157,7 +161,9 @@ pub enum NotFound {
         near: Vector2,
     },
     /// A grid was found, but not of the size asked for.
-    #[error("found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for")]
+    #[error(
+        "found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for"
+    )]
     WrongCount {
         /// Corners found along the longer side.
         found_columns: usize,
