@@ -3,6 +3,7 @@
 
 pub mod camera;
 pub mod light;
+pub mod loss;
 
 use crate::geometry::{Camera, Plane, Vector3, tangent_basis};
 use nalgebra::SMatrix;

@@ -5,6 +5,8 @@
 pub mod board;
 pub mod hand;
 
+pub mod paper;
+
 use crate::geometry::Vector2;
 
 /// One point on the centre of the laser's stripe.

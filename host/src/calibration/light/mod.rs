@@ -1,6 +1,8 @@
 //! The light planes: thirteen slide positions to one common normal with D = a·x + b
 //! (paper, Section 2.2; Eq. 4–10, Algorithm 1).
 
+pub mod tables;
+
 use super::{Covariance, LightModel};
 use crate::board::Corner;
 use crate::geometry::{Camera, Plane};
