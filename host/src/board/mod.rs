@@ -4,6 +4,8 @@
 //! along the long side. The board is seen from its front: x right, y down, z away from the camera
 //! when it faces the camera upright.
 
+pub mod subpixel;
+
 use crate::geometry::{Matrix2, Point3, Vector2};
 use crate::image::{Image, Pixel};
 

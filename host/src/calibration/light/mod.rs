@@ -1,6 +1,7 @@
 //! The light planes: thirteen slide positions to one common normal with D = a·x + b
 //! (paper, Section 2.2; Eq. 4–10, Algorithm 1).
 
+pub mod paper;
 pub mod tables;
 
 use super::{Covariance, LightModel};
