@@ -2,8 +2,17 @@
 //! maximum-likelihood solve). Knows no files and no images.
 
 pub mod camera;
+mod corners;
+mod finding;
+mod homography;
 pub mod light;
 pub mod loss;
+mod solve;
+#[cfg(test)]
+mod synthetic;
+mod zhang;
+
+pub use finding::{Cause, Finding, Severity};
 
 use crate::geometry::{Camera, Plane, Vector3, tangent_basis};
 use nalgebra::SMatrix;

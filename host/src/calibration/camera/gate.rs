@@ -1,0 +1,300 @@
+//! The gate of the camera calibration: which views do not fit, and what a set of views lacks.
+
+use crate::board::Corner;
+use crate::calibration::finding::{Cause, Finding, Severity};
+use crate::geometry::{Camera, Matrix3, PARAMETERS, Pose, Vector2, Vector3};
+use nalgebra::SMatrix;
+
+/// A view whose residuals are this many times the median view's is left out.
+const BAD_VIEW: f64 = 5.0;
+/// And one of this many times is named.
+const ODD_VIEW: f64 = 3.0;
+/// Largest angle between two boards: below, the focal length can't be told from the distance.
+const PARALLEL_DEG: f64 = 4.0;
+/// Below this angle it can be told badly.
+const LITTLE_TILT_DEG: f64 = 20.0;
+/// Relative standard deviation of the focal length at which no result is given. Depth errs as
+/// the focal length does: 1 % is 4 mm at the hand.
+const REFUSE_FOCAL: f64 = 0.01;
+/// And at which it is named.
+const WARN_FOCAL: f64 = 0.002;
+/// Residuals at which the corners are not those of the board.
+const REFUSE_RMS_PX: f64 = 5.0;
+/// And at which something is wrong.
+const WARN_RMS_PX: f64 = 1.0;
+
+/// Which views' corners are a plane's image at all: the residuals of a homography, which a lens
+/// bends by a few pixels and a wrong order of corners by many.
+pub fn homographies_fit(
+    homographies: &[Option<Matrix3>],
+    plane: &[Vector2],
+    pixels: &[Vec<Vector2>],
+) -> Vec<bool> {
+    let rms: Vec<f64> = homographies
+        .iter()
+        .zip(pixels)
+        .map(|(h, pixels)| {
+            let Some(h) = h else { return f64::INFINITY };
+            let sum: f64 = plane
+                .iter()
+                .zip(pixels)
+                .map(|(p, q)| {
+                    let seen = h * Vector3::new(p.x, p.y, 1.0);
+                    (seen.xy() / seen.z - q).norm_squared()
+                })
+                .sum();
+            (sum / pixels.len().max(1) as f64).sqrt()
+        })
+        .collect();
+    let limit = 2.0 + 5.0 * median(rms.iter().copied());
+    rms.iter().map(|&r| r <= limit).collect()
+}
+
+/// Views in use that do not fit the others, worst first; nothing if more than a third would go.
+pub fn bad_views(view_scale: &[f64], used: &[bool]) -> Vec<usize> {
+    let middle = median(
+        view_scale
+            .iter()
+            .zip(used)
+            .filter(|&(_, &u)| u)
+            .map(|(&s, _)| s),
+    );
+    let mut bad: Vec<usize> = (0..view_scale.len())
+        .filter(|&i| used[i] && view_scale[i] > BAD_VIEW * middle)
+        .collect();
+    bad.sort_by(|&i, &j| view_scale[j].total_cmp(&view_scale[i]));
+    // A bad view spoils the poses of good ones: the worst goes first, the rest get a second look.
+    bad.truncate(1);
+    bad
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut v: Vec<f64> = values.collect();
+    if v.is_empty() {
+        return 0.0;
+    }
+    v.sort_by(f64::total_cmp);
+    // The lower of the two middle ones: half of the views may be bad.
+    v[(v.len() - 1) / 2]
+}
+
+/// What the gate looks at.
+pub struct Evidence<'a> {
+    /// The camera found.
+    pub camera: &'a Camera,
+    /// Its covariance, if the data determines it.
+    pub covariance: Option<&'a SMatrix<f64, PARAMETERS, PARAMETERS>>,
+    /// Poses of all views.
+    pub poses: &'a [Pose],
+    /// Which views took part.
+    pub used: &'a [bool],
+    /// The corners of all views.
+    pub views: &'a [Vec<Corner>],
+    /// Root mean square whitened residual of the views in use.
+    pub view_scale: &'a [f64],
+    /// Root mean square distance of all views, px.
+    pub view_rms_px: &'a [f64],
+    /// The same over the views in use, px.
+    pub rms_px: f64,
+}
+
+/// Everything that is lacking or odd.
+pub fn examine(evidence: &Evidence) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    views(evidence, &mut findings);
+    geometry(evidence, &mut findings);
+    coverage(evidence, &mut findings);
+    lens(evidence, &mut findings);
+    findings
+}
+
+fn views(e: &Evidence, findings: &mut Vec<Finding>) {
+    let in_use = || e.used.iter().zip(e.view_scale).filter(|&(&u, _)| u);
+    let middle = median(in_use().map(|(_, &s)| s));
+    for (i, &used) in e.used.iter().enumerate() {
+        if !used {
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::BadView,
+                view: Some(i),
+                what: format!(
+                    "left out, its corners lie {:.2} px from where the other views put them",
+                    e.view_rms_px[i]
+                ),
+                advice: "take it again with the board flat, still and sharp".into(),
+            });
+        } else if e.view_scale[i] > ODD_VIEW * middle {
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::BadView,
+                view: Some(i),
+                what: format!(
+                    "its corners fit {:.1} times worse than those of the other views ({:.3} px)",
+                    e.view_scale[i] / middle,
+                    e.view_rms_px[i]
+                ),
+                advice: "look whether the board moved or is blurred there".into(),
+            });
+        }
+    }
+    let left_out = e.used.iter().filter(|&&u| !u).count();
+    if 3 * left_out > e.used.len() {
+        findings.push(Finding {
+            severity: Severity::Refuse,
+            cause: Cause::BadView,
+            view: None,
+            what: format!("{left_out} of {} views do not fit the others", e.used.len()),
+            advice: "check the board's counts of columns and rows, and that it is flat".into(),
+        });
+    }
+    if e.rms_px > WARN_RMS_PX {
+        findings.push(Finding {
+            severity: if e.rms_px > REFUSE_RMS_PX {
+                Severity::Refuse
+            } else {
+                Severity::Warn
+            },
+            cause: Cause::LargeResiduals,
+            view: None,
+            what: format!(
+                "the corners miss the fitted board by {:.2} px RMS",
+                e.rms_px
+            ),
+            advice: "check the board's counts of columns and rows, that it is flat, and the focus"
+                .into(),
+        });
+    }
+}
+
+fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
+    let normals: Vec<Vector3> = e
+        .poses
+        .iter()
+        .zip(e.used)
+        .filter(|&(_, &u)| u)
+        .map(|(p, _)| p.rotation * Vector3::z())
+        .collect();
+    let mut spread: f64 = 0.0;
+    for (i, a) in normals.iter().enumerate() {
+        for b in &normals[..i] {
+            spread = spread.max(a.cross(b).norm().atan2(a.dot(b).abs()));
+        }
+    }
+    let spread = spread.to_degrees();
+    let focal = e.covariance.map_or(f64::INFINITY, |c| {
+        (c[(0, 0)].sqrt() / e.camera.fx).max(c[(1, 1)].sqrt() / e.camera.fy)
+    });
+    if spread < PARALLEL_DEG {
+        findings.push(Finding {
+            severity: Severity::Refuse,
+            cause: Cause::ParallelViews,
+            view: None,
+            what: format!(
+                "all boards are parallel to within {spread:.1}°, so the focal length can't be told from the distance"
+            ),
+            advice: "tilt the board by 20° to 40° to different sides".into(),
+        });
+    } else if !(focal < REFUSE_FOCAL) {
+        findings.push(Finding {
+            severity: Severity::Refuse,
+            cause: Cause::UncertainFocalLength,
+            view: None,
+            what: format!(
+                "the focal length is known to no better than {:.1} % (boards differ by {spread:.0}° at most)",
+                100.0 * focal.min(10.0)
+            ),
+            advice: "add views with the board tilted by 20° to 40° to different sides".into(),
+        });
+    } else {
+        if spread < LITTLE_TILT_DEG {
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::LittleTilt,
+                view: None,
+                what: format!("the boards differ in tilt by {spread:.0}° at most"),
+                advice: "tilt the board by 20° to 40° to different sides".into(),
+            });
+        }
+        if focal > WARN_FOCAL {
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::UncertainFocalLength,
+                view: None,
+                what: format!("the focal length is known to {:.2} % only", 100.0 * focal),
+                advice: "add views, tilted more, filling more of the image".into(),
+            });
+        }
+    }
+}
+
+fn coverage(e: &Evidence, findings: &mut Vec<Finding>) {
+    let size = [f64::from(e.camera.width), f64::from(e.camera.height)];
+    let mut seen = [[false; 3]; 3];
+    for (view, _) in e.views.iter().zip(e.used).filter(|&(_, &u)| u) {
+        for corner in view {
+            let cell = |p: f64, size: f64| (3.0 * (p + 0.5) / size).clamp(0.0, 2.0) as usize;
+            seen[cell(corner.pixel.y, size[1])][cell(corner.pixel.x, size[0])] = true;
+        }
+    }
+    const NAMES: [[&str; 3]; 3] = [
+        ["top left", "top", "top right"],
+        ["left", "middle", "right"],
+        ["bottom left", "bottom", "bottom right"],
+    ];
+    let missing: Vec<&str> = (0..9)
+        .filter(|i| !seen[i / 3][i % 3])
+        .map(|i| NAMES[i / 3][i % 3])
+        .collect();
+    if !missing.is_empty() {
+        findings.push(Finding {
+            severity: Severity::Warn,
+            cause: Cause::Coverage,
+            view: None,
+            what: format!(
+                "no corner was seen in these ninths of the image: {}",
+                missing.join(", ")
+            ),
+            advice: "put the board there too, or the distortion is extrapolated".into(),
+        });
+    }
+}
+
+fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
+    let camera = e.camera;
+    let (w, h) = (
+        f64::from(camera.width) - 1.0,
+        f64::from(camera.height) - 1.0,
+    );
+    let folded = [
+        (0.0, 0.0),
+        (w, 0.0),
+        (0.0, h),
+        (w, h),
+        (w / 2.0, 0.0),
+        (w / 2.0, h),
+        (0.0, h / 2.0),
+        (w, h / 2.0),
+    ]
+    .into_iter()
+    .any(|(u, v)| camera.ray(&Vector2::new(u, v)).is_none());
+    if folded {
+        findings.push(Finding {
+            severity: Severity::Warn,
+            cause: Cause::FoldedDistortion,
+            view: None,
+            what: "the distortion has no inverse at the image's border".into(),
+            advice: "put the board into the corners of the image too".into(),
+        });
+    }
+    let ratio = camera.fx / camera.fy;
+    if !(0.9..1.1).contains(&ratio) {
+        findings.push(Finding {
+            severity: Severity::Warn,
+            cause: Cause::AspectRatio,
+            view: None,
+            what: format!("fx is {ratio:.2} times fy"),
+            advice: "check that the board's squares are square and its columns and rows right"
+                .into(),
+        });
+    }
+}
