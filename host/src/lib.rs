@@ -25,4 +25,5 @@ pub mod image;
 pub mod needle;
 pub mod progress;
 pub mod session;
+pub mod simulation;
 pub mod stripe;

@@ -8,6 +8,7 @@ mod angle;
 mod calibrate;
 mod output;
 mod process;
+mod simulate;
 
 pub use output::Output;
 
@@ -32,6 +33,8 @@ enum Command {
     Angle(angle::Args),
     /// Calibrate and angle in one go, with the report.
     Process(process::Args),
+    /// Recordings of the simulated rig, with their truth.
+    Simulate(simulate::Args),
 }
 
 fn run(command: Command, out: &Output) -> anyhow::Result<()> {
@@ -39,6 +42,7 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Calibrate(args) => calibrate::run(args, out),
         Command::Angle(args) => angle::run(args, out),
         Command::Process(args) => process::run(args, out),
+        Command::Simulate(args) => simulate::run(args, out),
     }
 }
 

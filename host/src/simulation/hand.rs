@@ -252,7 +252,7 @@ impl Hand {
 impl Skin {
     /// A seed's skin.
     pub fn random(random: &mut Random, parameters: &Parameters, hand: &Hand) -> Self {
-        let mut place = |random: &mut Random| {
+        let place = |random: &mut Random| {
             (
                 random.between(-0.85, 0.85) * hand.half_p,
                 random.between(-0.85, 0.85) * hand.half_q,

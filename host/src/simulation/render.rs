@@ -17,7 +17,7 @@ use rayon::prelude::*;
 /// Board edges are drawn this soft (σ, pixels) before the lens's blur takes over the rest: too
 /// soft for three samples a pixel to alias.
 const EDGE_PX: f64 = 0.28;
-/// Distance of the wall behind the board, which the laser does not reach.
+/// Direction towards the lamp.
 const LAMP: [f64; 3] = [0.35, -0.55, -0.76];
 const TABLE_ALBEDO: f64 = 0.04;
 
