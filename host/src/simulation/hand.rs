@@ -98,7 +98,14 @@ impl Hand {
             .iter()
             .map(|k| {
                 let slope = 0.0103 * k[0] + random.between(-0.02, 0.02);
-                [k[0], k[1], slope, 0.0, random.between(0.4, 0.8), random.between(2.5, 3.3)]
+                [
+                    k[0],
+                    k[1],
+                    slope,
+                    0.0,
+                    random.between(0.4, 0.8),
+                    random.between(2.5, 3.3),
+                ]
             })
             .collect();
         for p in [0.0, -20.0, 20.0] {
@@ -117,7 +124,12 @@ impl Hand {
                 let length = random.between(5.0, 9.0);
                 let angle = random.between(0.0, std::f64::consts::TAU);
                 let k = std::f64::consts::TAU / length;
-                [k * angle.cos(), k * angle.sin(), random.between(0.0, std::f64::consts::TAU), 0.035 / 3f64.sqrt()]
+                [
+                    k * angle.cos(),
+                    k * angle.sin(),
+                    random.between(0.0, std::f64::consts::TAU),
+                    0.035 / 3f64.sqrt(),
+                ]
             })
             .collect();
         let out: Vector3 = axes.row(2).transpose();
@@ -126,7 +138,10 @@ impl Hand {
             + Vector3::y() * random.between(-0.02, 0.04);
         let below = origin - out * random.between(25.0, 30.0);
         let normal = -tilted.normalize();
-        let table = Plane { normal, d: -normal.dot(&below.coords) };
+        let table = Plane {
+            normal,
+            d: -normal.dot(&below.coords),
+        };
         Self {
             origin,
             axes,
@@ -245,7 +260,9 @@ impl Hand {
 
     /// The unit normal of the surface towards the camera, camera frame.
     pub fn normal(&self, slope: &Height) -> Vector3 {
-        self.axes.tr_mul(&Vector3::new(-slope.by_p, -slope.by_q, 1.0)).normalize()
+        self.axes
+            .tr_mul(&Vector3::new(-slope.by_p, -slope.by_q, 1.0))
+            .normalize()
     }
 }
 
@@ -268,7 +285,12 @@ impl Skin {
             .map(|_| {
                 let (p, q) = place(random);
                 let (length, angle) = (random.between(4.0, 9.0), random.between(0.7, 2.0));
-                [p, q, p + length * f64::cos(angle), q - length * f64::sin(angle)]
+                [
+                    p,
+                    q,
+                    p + length * f64::cos(angle),
+                    q - length * f64::sin(angle),
+                ]
             })
             .collect();
         let highlights = (0..parameters.highlights)

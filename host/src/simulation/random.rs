@@ -18,7 +18,9 @@ pub fn mix(value: u64) -> u64 {
 impl Random {
     /// The stream number `stream` of a seed; streams are independent of each other.
     pub fn new(seed: u64, stream: u64) -> Self {
-        Self(mix(mix(seed) ^ mix(stream.wrapping_mul(0xD6E8_FEB8_6659_FD93))))
+        Self(mix(
+            mix(seed) ^ mix(stream.wrapping_mul(0xD6E8_FEB8_6659_FD93))
+        ))
     }
 
     /// 64 random bits.
@@ -89,7 +91,8 @@ pub fn normal_cdf(t: f64) -> f64 {
     let k = 1.0 / (1.0 + 0.327_591_1 * x);
     let poly = k
         * (0.254_829_592
-            + k * (-0.284_496_736 + k * (1.421_413_741 + k * (-1.453_152_027 + k * 1.061_405_429))));
+            + k * (-0.284_496_736
+                + k * (1.421_413_741 + k * (-1.453_152_027 + k * 1.061_405_429))));
     let upper = 0.5 * poly * (-x * x).exp();
     if t > 0.0 { 1.0 - upper } else { upper }
 }
@@ -110,7 +113,12 @@ mod tests {
 
     #[test]
     fn the_cumulative_function_agrees_with_known_values() {
-        for (t, p) in [(0.0, 0.5), (1.0, 0.841_344_746), (-1.96, 0.024_997_895), (3.0, 0.998_650_102)] {
+        for (t, p) in [
+            (0.0, 0.5),
+            (1.0, 0.841_344_746),
+            (-1.96, 0.024_997_895),
+            (3.0, 0.998_650_102),
+        ] {
             assert!((normal_cdf(t) - p).abs() < 2e-7, "{t}");
         }
     }

@@ -53,7 +53,11 @@ impl RayMap {
                 camera.ray(&pixel).map(|ray| [ray.x, ray.y])
             })
             .collect::<Option<Vec<_>>>()?;
-        Some(Self { width, height, rays })
+        Some(Self {
+            width,
+            height,
+            rays,
+        })
     }
 
     /// The ray through a pixel's centre.
@@ -115,10 +119,21 @@ impl Kernel {
     pub fn new(sigma_px: f64) -> Self {
         let sigma = sigma_px * FINE as f64;
         let reach = (4.0 * sigma).ceil() as i64;
-        let gauss = |d: i64| if sigma > 0.0 { (-0.5 * (d as f64 / sigma).powi(2)).exp() } else { 1.0 };
+        let gauss = |d: i64| {
+            if sigma > 0.0 {
+                (-0.5 * (d as f64 / sigma).powi(2)).exp()
+            } else {
+                1.0
+            }
+        };
         let half = reach + (FINE as i64) / 2;
         let mut taps: Vec<f64> = (-half..=half)
-            .map(|k| (-1..=1).filter(|b| (k - b).abs() <= reach).map(|b| gauss(k - b)).sum())
+            .map(|k| {
+                (-1..=1)
+                    .filter(|b| (k - b).abs() <= reach)
+                    .map(|b| gauss(k - b))
+                    .sum()
+            })
             .collect();
         let sum: f64 = taps.iter().sum();
         taps.iter_mut().for_each(|t| *t /= sum);
@@ -150,13 +165,18 @@ impl Light {
         S: Fn(usize, usize) -> F + Sync,
         F: FnMut(Sample) -> f32,
     {
-        let wanted: Vec<usize> = (0..tiles.wanted.len()).filter(|&i| tiles.wanted[i]).collect();
+        let wanted: Vec<usize> = (0..tiles.wanted.len())
+            .filter(|&i| tiles.wanted[i])
+            .collect();
         let (width, height) = (self.width, self.height);
         let done: Vec<(usize, [f32; TILE * TILE])> = wanted
             .into_par_iter()
             .map(|i| {
                 let (u, v) = (i % tiles.columns * TILE, i / tiles.columns * TILE);
-                let middle = ((u + TILE / 2).min(width - 1), (v + TILE / 2).min(height - 1));
+                let middle = (
+                    (u + TILE / 2).min(width - 1),
+                    (v + TILE / 2).min(height - 1),
+                );
                 (i, tile(rays, kernel, (u, v), sampler(middle.0, middle.1)))
             })
             .collect();
@@ -206,7 +226,11 @@ fn tile(
             let mut ray = rays.at(pu, pv);
             ray.x += by_u[0] * du + by_v[0] * dv;
             ray.y += by_u[1] * du + by_v[1] * dv;
-            *value = radiance(Sample { pixel: (pu, pv), place: (u, v), ray });
+            *value = radiance(Sample {
+                pixel: (pu, pv),
+                place: (u, v),
+                ray,
+            });
         }
         for (x, out) in across[j * TILE..(j + 1) * TILE].iter_mut().enumerate() {
             let part = &fine[FINE * x..FINE * x + kernel.taps.len()];
@@ -259,7 +283,10 @@ mod tests {
         let (lo, hi) = (10, 50);
         let sum: f64 = slope[lo..hi].iter().sum();
         let mean = (lo..hi).map(|i| at(i) * slope[i]).sum::<f64>() / sum;
-        let var = (lo..hi).map(|i| (at(i) - mean).powi(2) * slope[i]).sum::<f64>() / sum;
+        let var = (lo..hi)
+            .map(|i| (at(i) - mean).powi(2) * slope[i])
+            .sum::<f64>()
+            / sum;
         assert!((sum - 1.0).abs() < 1e-5);
         assert!((mean - edge).abs() < 1e-3, "{mean}");
         // Lens + ramp + pixel square (1/12 each; the square by three samples: 2/27) + the

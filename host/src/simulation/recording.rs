@@ -60,7 +60,8 @@ impl Scene {
     /// The true light plane of a frame whose steps say `slide_mm`: the slide's own error is added.
     pub fn lit_plane(&self, slide_mm: f64, frame: u64) -> Plane {
         let jitter = Random::new(self.seed, 0x511D_0000_0000 ^ frame).normal();
-        self.laser.plane(slide_mm + jitter * self.parameters.slide_jitter_mm)
+        self.laser
+            .plane(slide_mm + jitter * self.parameters.slide_jitter_mm)
     }
 }
 
@@ -117,13 +118,18 @@ pub fn record(
     manifest.camera = recorded
         .camera
         .iter()
-        .map(|(image, _)| session::CameraView { image: image.clone() })
+        .map(|(image, _)| session::CameraView {
+            image: image.clone(),
+        })
         .collect();
 
     for (i, pose) in scene.light_poses.iter().enumerate() {
         let still = renderer.still(&Subject::Board(*pose));
         let off = format!("light/{i:02}/off.png");
-        write(&off, renderer.frame(&still, 1.0, None, FrameId::Light(i, 0).number()))?;
+        write(
+            &off,
+            renderer.frame(&still, 1.0, None, FrameId::Light(i, 0).number()),
+        )?;
         let on: Vec<(session::Frame, Lit)> = positions
             .par_iter()
             .enumerate()
@@ -132,17 +138,28 @@ pub fn record(
                 let id = FrameId::Light(i, k + 1).number();
                 let plane = scene.lit_plane(slide_mm, id);
                 write(&name, renderer.frame(&still, 1.0, Some(&plane), id))?;
-                Ok((frame(name, slide_mm), Lit { slide_mm, d: plane.d }))
+                Ok((
+                    frame(name, slide_mm),
+                    Lit {
+                        slide_mm,
+                        d: plane.d,
+                    },
+                ))
             })
             .collect::<Result<_, SessionError>>()?;
         let (on, lit) = on.into_iter().unzip();
         recorded.light.push((off.clone(), *pose, lit));
-        manifest.light.push(session::LightPose { off: Some(off), on });
+        manifest
+            .light
+            .push(session::LightPose { off: Some(off), on });
     }
 
     let still = renderer.still(&Subject::Hand);
     let ambient = "scan/ambient.png".to_owned();
-    write(&ambient, renderer.frame(&still, 1.0, None, FrameId::Scan(0).number()))?;
+    write(
+        &ambient,
+        renderer.frame(&still, 1.0, None, FrameId::Scan(0).number()),
+    )?;
     let frames: Vec<(session::Frame, Lit)> = scan_positions
         .par_iter()
         .enumerate()
@@ -153,12 +170,21 @@ pub fn record(
             write(&name, renderer.frame(&still, 1.0, Some(&plane), id))?;
             let mut frame = frame(name, slide_mm);
             frame.trigger_us = Some(1_000_000 + 40_000 * k as u64);
-            Ok((frame, Lit { slide_mm, d: plane.d }))
+            Ok((
+                frame,
+                Lit {
+                    slide_mm,
+                    d: plane.d,
+                },
+            ))
         })
         .collect::<Result<_, SessionError>>()?;
     let (frames, lit) = frames.into_iter().unzip();
     recorded.scan = lit;
-    manifest.scan = Some(session::Scan { ambient: Some(ambient), frames });
+    manifest.scan = Some(session::Scan {
+        ambient: Some(ambient),
+        frames,
+    });
     session::write(folder, &manifest)?;
 
     write_truth(folder, &renderer, &truth, &recorded)?;
@@ -174,7 +200,8 @@ pub fn write_truth(
     recorded: &Recorded,
 ) -> Result<(), RecordError> {
     let path = folder.join("truth.json");
-    let text = serde_json::to_vec(&to_json(renderer, truth, recorded)).map_err(std::io::Error::from);
+    let text =
+        serde_json::to_vec(&to_json(renderer, truth, recorded)).map_err(std::io::Error::from);
     text.and_then(|text| std::fs::write(&path, text))
         .map_err(|source| RecordError::Truth { path, source })
 }

@@ -86,7 +86,13 @@ impl Renderer {
 
     /// A frame. `exposure`: 1 is the exposure of laser images. `laser`: the true light plane, if the
     /// laser is on. `frame` makes noise and speckle its own.
-    pub fn frame(&self, still: &Still, exposure: f64, laser: Option<&Plane>, frame: u64) -> Image<u8> {
+    pub fn frame(
+        &self,
+        still: &Still,
+        exposure: f64,
+        laser: Option<&Plane>,
+        frame: u64,
+    ) -> Image<u8> {
         let p = &self.scene.parameters;
         match laser {
             None => sensor::expose(&still.ambient, exposure as f32, p, self.scene.seed, frame),
@@ -146,24 +152,29 @@ impl Renderer {
         let mut tiles = Tiles::none(w, h);
         tiles.add(us, vs);
         let shade = self.board_shade(pose);
-        still.ambient.render(&self.rays, &tiles, &self.board_kernel(), |u, v| {
-            let soft = self.board_softness(&target, u, v);
-            let target = &target;
-            move |s: Sample| {
-                let wall = self.wall(&s.ray);
-                let Some(place) = target.meet(&s.ray) else {
-                    return wall as f32;
-                };
-                let (albedo, share) = target.reflectance(&place, soft);
-                let light = shade * (1.0 + 0.0008 * (place.x - 35.0) - 0.0006 * (place.y - 25.0));
-                (share * albedo * light + (1.0 - share) * wall) as f32
-            }
-        });
+        still
+            .ambient
+            .render(&self.rays, &tiles, &self.board_kernel(), |u, v| {
+                let soft = self.board_softness(&target, u, v);
+                let target = &target;
+                move |s: Sample| {
+                    let wall = self.wall(&s.ray);
+                    let Some(place) = target.meet(&s.ray) else {
+                        return wall as f32;
+                    };
+                    let (albedo, share) = target.reflectance(&place, soft);
+                    let light =
+                        shade * (1.0 + 0.0008 * (place.x - 35.0) - 0.0006 * (place.y - 25.0));
+                    (share * albedo * light + (1.0 - share) * wall) as f32
+                }
+            });
         let n = self.scene.laser.model.normal;
         for v in vs.0..=vs.1 {
             for u in us.0..=us.1 {
                 let ray = self.rays.at(u, v);
-                if let Some(place) = target.meet(&ray) && target.covers(&place) {
+                if let Some(place) = target.meet(&ray)
+                    && target.covers(&place)
+                {
                     let i = v * w + u;
                     still.surface[i] = Surface::Board;
                     still.depth[i] = place.z as f32;
@@ -183,7 +194,11 @@ impl Renderer {
     }
 
     fn board_kernel(&self) -> Kernel {
-        Kernel::new((self.scene.psf_px.powi(2) - EDGE_PX.powi(2)).max(0.0).sqrt())
+        Kernel::new(
+            (self.scene.psf_px.powi(2) - EDGE_PX.powi(2))
+                .max(0.0)
+                .sqrt(),
+        )
     }
 
     /// [`EDGE_PX`] in mm along the board's axes, at a pixel.
@@ -234,9 +249,16 @@ impl Renderer {
             let ray = self.rays.at(u, v);
             still.surface[i] = surface;
             still.depth[i] = z as f32;
-            still.reach[i] = if surface == Surface::Nothing { f32::NAN } else { (n.dot(&ray) * z) as f32 };
+            still.reach[i] = if surface == Surface::Nothing {
+                f32::NAN
+            } else {
+                (n.dot(&ray) * z) as f32
+            };
             if surface == Surface::Skin {
-                tiles.add((u.saturating_sub(4), (u + 4).min(w - 1)), (v.saturating_sub(4), (v + 4).min(h - 1)));
+                tiles.add(
+                    (u.saturating_sub(4), (u + 4).min(w - 1)),
+                    (v.saturating_sub(4), (v + 4).min(h - 1)),
+                );
             }
             still.ambient.values[i] = (e * self.table_albedo(&ray, z)) as f32;
         }
@@ -248,7 +270,10 @@ impl Renderer {
             .filter(|&(u, v)| {
                 let i = v * w + u;
                 still.surface[i] == Surface::Table
-                    && hand.shades(&(self.rays.at(u, v) * f64::from(still.depth[i])).into(), &scene.laser.beam)
+                    && hand.shades(
+                        &(self.rays.at(u, v) * f64::from(still.depth[i])).into(),
+                        &scene.laser.beam,
+                    )
             })
             .collect();
         for (u, v) in shaded {
@@ -261,20 +286,22 @@ impl Renderer {
             }
         }
         let depth = &still.depth;
-        still.ambient.render(&self.rays, &tiles, &Kernel::new(scene.psf_px), |u, v| {
-            let mut guess = f64::from(depth[v * w + u]);
-            move |s: Sample| {
-                let Some((z, local, slope)) = hand.meet(&s.ray, guess) else {
-                    let z = hand.table.meet(&s.ray).map_or(0.0, |p| p.z);
-                    return (e * self.table_albedo(&s.ray, z)) as f32;
-                };
-                guess = z;
-                let facing = hand.normal(&slope).dot(&lamp).max(0.0);
-                let albedo = scene.skin.albedo(hand, local.x, local.y);
-                let wet = scene.skin.shine(local.x, local.y) - 1.0;
-                (e * ((0.35 + 0.65 * facing) * albedo + 0.15 * wet)) as f32
-            }
-        });
+        still
+            .ambient
+            .render(&self.rays, &tiles, &Kernel::new(scene.psf_px), |u, v| {
+                let mut guess = f64::from(depth[v * w + u]);
+                move |s: Sample| {
+                    let Some((z, local, slope)) = hand.meet(&s.ray, guess) else {
+                        let z = hand.table.meet(&s.ray).map_or(0.0, |p| p.z);
+                        return (e * self.table_albedo(&s.ray, z)) as f32;
+                    };
+                    guess = z;
+                    let facing = hand.normal(&slope).dot(&lamp).max(0.0);
+                    let albedo = scene.skin.albedo(hand, local.x, local.y);
+                    let wet = scene.skin.shine(local.x, local.y) - 1.0;
+                    (e * ((0.35 + 0.65 * facing) * albedo + 0.15 * wet)) as f32
+                }
+            });
         still
     }
 
@@ -299,7 +326,10 @@ impl Renderer {
             let row = &still.reach[v * w..(v + 1) * w];
             for (u, reach) in row.iter().enumerate() {
                 if (reach + d).abs() < cut as f32 {
-                    tiles.add((u.saturating_sub(3), (u + 3).min(w - 1)), (v.saturating_sub(3), (v + 3).min(h - 1)));
+                    tiles.add(
+                        (u.saturating_sub(3), (u + 3).min(w - 1)),
+                        (v.saturating_sub(3), (v + 3).min(h - 1)),
+                    );
                     rows = (rows.0.min(v), rows.1.max(v));
                     columns = (columns.0.min(u), columns.1.max(u));
                 }
@@ -339,7 +369,13 @@ impl Renderer {
             let soft = self.board_softness(target, u, v);
             // EDGE_PX as a distance from the light plane.
             let at = |u: usize, v: usize| still.reach[v * w + u];
-            let slope = |a: f32, b: f32| if (b - a).is_finite() { f64::from(b - a) } else { 0.17 };
+            let slope = |a: f32, b: f32| {
+                if (b - a).is_finite() {
+                    f64::from(b - a)
+                } else {
+                    0.17
+                }
+            };
             let across = slope(at(u, v), at((u + 1).min(w - 1), v))
                 .hypot(slope(at(u, v), at(u, (v + 1).min(h - 1))));
             let soft_mm = EDGE_PX * across;
@@ -352,12 +388,21 @@ impl Renderer {
                     return 0.0;
                 }
                 let (albedo, share) = target.reflectance(&place, soft);
-                (peak * share * albedo * laser.profile(d, s.ray.x * place.z, soft_mm)) as f32 * speckle.at(s.place)
+                (peak * share * albedo * laser.profile(d, s.ray.x * place.z, soft_mm)) as f32
+                    * speckle.at(s.place)
             }
         });
     }
 
-    fn hand_line(&self, still: &Still, plane: &Plane, cut: f64, speckle: &Speckle, tiles: &Tiles, line: &mut Light) {
+    fn hand_line(
+        &self,
+        still: &Still,
+        plane: &Plane,
+        cut: f64,
+        speckle: &Speckle,
+        tiles: &Tiles,
+        line: &mut Light,
+    ) {
         let scene = &self.scene;
         let (hand, laser): (&Hand, _) = (&scene.hand, &scene.laser);
         let w = line.width;
@@ -372,12 +417,16 @@ impl Renderer {
                 }
                 let (z, albedo) = match still.surface[i] {
                     Surface::Skin => {
-                        let Some((z, local, slope)) = hand.meet(&s.ray, f64::from(still.depth[i])) else {
+                        let Some((z, local, slope)) = hand.meet(&s.ray, f64::from(still.depth[i]))
+                        else {
                             return 0.0;
                         };
                         let facing = -hand.normal(&slope).dot(&laser.beam);
                         let skin = scene.skin.albedo(hand, local.x, local.y);
-                        (z, skin * facing.max(0.0) * scene.skin.shine(local.x, local.y))
+                        (
+                            z,
+                            skin * facing.max(0.0) * scene.skin.shine(local.x, local.y),
+                        )
                     }
                     Surface::Table => match hand.table.meet(&s.ray) {
                         Some(p) => (p.z, TABLE_ALBEDO * table_cos),
@@ -404,7 +453,10 @@ impl Renderer {
             g.iter().map(|x| (x / sum) as f32).collect()
         };
         let (w, h) = (line.width, line.height);
-        let (u0, u1) = (columns.0.saturating_sub(reach), (columns.1 + reach + 1).min(w));
+        let (u0, u1) = (
+            columns.0.saturating_sub(reach),
+            (columns.1 + reach + 1).min(w),
+        );
         let (v0, v1) = (rows.0.saturating_sub(reach), (rows.1 + reach + 1).min(h));
         let n = u1 - u0;
         let skin = |u: usize, v: usize| still.surface[v * w + u] == Surface::Skin;
@@ -412,7 +464,13 @@ impl Renderer {
         let mut down = vec![0.0f32; n * (v1 - v0)];
         for v in rows.0.saturating_sub(8)..(rows.1 + 9).min(h) {
             let source: Vec<f32> = (u0..u1)
-                .map(|u| if skin(u, v) { line.values[v * w + u] } else { 0.0 })
+                .map(|u| {
+                    if skin(u, v) {
+                        line.values[v * w + u]
+                    } else {
+                        0.0
+                    }
+                })
                 .collect();
             if source.iter().all(|&s| s == 0.0) {
                 continue;
@@ -484,4 +542,3 @@ impl Speckle {
         1.0 + self.contrast * (top * (1.0 - b) + bottom * b)
     }
 }
-

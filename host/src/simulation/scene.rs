@@ -64,7 +64,8 @@ impl Laser {
         .normalize();
         // The slide moves nearly along minus the normal's direction.
         let skew = |r: &mut Random| r.between(-0.04, 0.04);
-        let travel = (normal + Vector3::new(skew(random) * 0.3, skew(random), skew(random))).normalize();
+        let travel =
+            (normal + Vector3::new(skew(random) * 0.3, skew(random), skew(random))).normalize();
         let screw = 1.0 + random.between(-5e-4, 5e-4);
         let beam = Vector3::x().cross(&normal).normalize();
         Self {
@@ -148,13 +149,25 @@ impl Scene {
     fn camera_pose(&self, i: usize, random: &mut Random) -> Pose {
         // Where in the image (thirds), in an order that goes to the corners early.
         const PLACES: [(f64, f64); 9] = [
-            (-1.0, -1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0), (1.0, 0.0),
+            (-1.0, -1.0),
+            (1.0, 1.0),
+            (1.0, -1.0),
+            (-1.0, 1.0),
+            (0.0, 0.0),
+            (0.0, -1.0),
+            (0.0, 1.0),
+            (-1.0, 0.0),
+            (1.0, 0.0),
         ];
         let (along, down) = PLACES[i % 9];
         let turn = i as f64 * 2.4; // golden angle: directions of tilt spread evenly
         for attempt in 0..400 {
             let ease = 1.0 - f64::from(attempt) / 400.0;
-            let tilt = if i == 0 { 3.0 } else { random.between(8.0, 34.0) } * ease.max(0.3);
+            let tilt = if i == 0 {
+                3.0
+            } else {
+                random.between(8.0, 34.0)
+            } * ease.max(0.3);
             let axis = turn + random.between(-0.4, 0.4);
             let z = random.between(400.0, 490.0);
             let half = (
@@ -186,7 +199,11 @@ impl Scene {
             // Where the sheet is half way along the slide.
             let plane = self.laser.plane(0.5 * TRAVEL_MM);
             let y = -(plane.normal.z * z + plane.d) / plane.normal.y;
-            let middle = Vector3::new(random.between(-38.0, 38.0) * ease, y + random.between(-8.0, 8.0), z);
+            let middle = Vector3::new(
+                random.between(-38.0, 38.0) * ease,
+                y + random.between(-8.0, 8.0),
+                z,
+            );
             let pose = self.pose(
                 middle,
                 random.between(6.0, 28.0) * (0.3 + 0.7 * ease),
@@ -229,14 +246,18 @@ impl Scene {
         };
         let [x0, x1, y0, y1] = target.outline();
         let margin = 0.006 * f64::from(self.camera.width);
-        [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].iter().all(|&(x, y)| {
-            self.camera.project(&pose.apply(&Point3::new(x, y, 0.0))).is_some_and(|p| {
-                p.x > margin
-                    && p.y > margin
-                    && p.x < f64::from(self.camera.width) - 1.0 - margin
-                    && p.y < f64::from(self.camera.height) - 1.0 - margin
+        [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+            .iter()
+            .all(|&(x, y)| {
+                self.camera
+                    .project(&pose.apply(&Point3::new(x, y, 0.0)))
+                    .is_some_and(|p| {
+                        p.x > margin
+                            && p.y > margin
+                            && p.x < f64::from(self.camera.width) - 1.0 - margin
+                            && p.y < f64::from(self.camera.height) - 1.0 - margin
+                    })
             })
-        })
     }
 
     /// How long the light plane's line on the board's squares is, mm.
@@ -307,7 +328,10 @@ mod tests {
             }
             for pose in &scene.light_poses {
                 for x in scene.light_positions() {
-                    assert!(scene.crossing_mm(pose, &scene.laser.plane(x)) > 45.0, "seed {seed}, {x} mm");
+                    assert!(
+                        scene.crossing_mm(pose, &scene.laser.plane(x)) > 45.0,
+                        "seed {seed}, {x} mm"
+                    );
                 }
             }
         }
@@ -317,7 +341,10 @@ mod tests {
     fn a_is_what_slide_and_screw_make_of_it() {
         let laser = Scene::new(Profile::Nominal, 7).laser;
         // A point fixed to the sheet moves by screw·travel for each nominal mm.
-        let p = laser.plane(0.0).meet(&Vector3::new(0.01, -0.02, 1.0)).unwrap();
+        let p = laser
+            .plane(0.0)
+            .meet(&Vector3::new(0.01, -0.02, 1.0))
+            .unwrap();
         let moved = p + laser.travel * laser.screw * 25.0;
         assert!(laser.plane(25.0).distance(&moved).abs() < 1e-9);
     }

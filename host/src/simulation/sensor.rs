@@ -6,7 +6,13 @@ use super::raster::Light;
 use crate::image::Image;
 
 /// Exposes an image. `frame` makes the noise of each frame its own.
-pub fn expose(light: &Light, exposure: f32, parameters: &Parameters, seed: u64, frame: u64) -> Image<u8> {
+pub fn expose(
+    light: &Light,
+    exposure: f32,
+    parameters: &Parameters,
+    seed: u64,
+    frame: u64,
+) -> Image<u8> {
     let table: &[f32; NORMAL_ENTRIES] = &NORMAL;
     let read = parameters.read_noise_dn * parameters.read_noise_dn;
     let (shot, black) = (parameters.shot_dn, parameters.black_dn);
@@ -34,21 +40,40 @@ mod tests {
     fn noise_has_the_variance_asked_for() {
         let parameters = Profile::Nominal.parameters();
         for level in [0.0f32, 40.0, 180.0] {
-            let light = Light { width: 200, height: 200, values: vec![level; 40_000] };
+            let light = Light {
+                width: 200,
+                height: 200,
+                values: vec![level; 40_000],
+            };
             let image = expose(&light, 1.0, &parameters, 3, 9);
             let n = 40_000.0;
             let mean = image.pixels().iter().map(|&p| f64::from(p)).sum::<f64>() / n;
-            let var = image.pixels().iter().map(|&p| (f64::from(p) - mean).powi(2)).sum::<f64>() / n;
+            let var = image
+                .pixels()
+                .iter()
+                .map(|&p| (f64::from(p) - mean).powi(2))
+                .sum::<f64>()
+                / n;
             // Quantisation adds 1/12.
             let expected = f64::from(0.42f32.powi(2) + 0.021 * level) + 1.0 / 12.0;
-            assert!((mean - f64::from(level) - 5.0).abs() < 0.03, "{level}: {mean}");
-            assert!((var / expected - 1.0).abs() < 0.05, "{level}: {var} against {expected}");
+            assert!(
+                (mean - f64::from(level) - 5.0).abs() < 0.03,
+                "{level}: {mean}"
+            );
+            assert!(
+                (var / expected - 1.0).abs() < 0.05,
+                "{level}: {var} against {expected}"
+            );
         }
     }
 
     #[test]
     fn bright_light_saturates() {
-        let light = Light { width: 10, height: 1, values: vec![900.0; 10] };
+        let light = Light {
+            width: 10,
+            height: 1,
+            values: vec![900.0; 10],
+        };
         let image = expose(&light, 1.0, &Profile::Hard.parameters(), 3, 9);
         assert!(image.pixels().iter().all(|&p| p == 255));
     }

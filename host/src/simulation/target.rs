@@ -1,8 +1,8 @@
 //! The simulated checkerboard: a flat plate with its pattern, in ambient light.
 
+use super::random::normal_cdf;
 use crate::board::BoardGeometry;
 use crate::geometry::{Matrix3, Pose, Vector3};
-use super::random::normal_cdf;
 
 /// Width of the white rim round the outer squares, in squares.
 const RIM: f64 = 1.0;
@@ -108,7 +108,11 @@ fn wave(t: f64, soft: f64, corners: usize) -> (f64, f64) {
     let last = corners as f64;
     let outline = normal_cdf((t + 1.0).min(last - t) / soft);
     // Just before edge k the sign is (−1)^k: +1 before edge 0.
-    let before = if nearest.rem_euclid(2.0) == 0.0 { 1.0 } else { -1.0 };
+    let before = if nearest.rem_euclid(2.0) == 0.0 {
+        1.0
+    } else {
+        -1.0
+    };
     let sign = before * (1.0 - 2.0 * normal_cdf(offset));
     // The outermost edges are not edges of the wave.
     let sign = if nearest < 0.0 || nearest >= last {
@@ -126,7 +130,11 @@ mod tests {
 
     fn target() -> Target {
         Target::new(
-            BoardGeometry { columns: 8, rows: 6, square_mm: 10.0 },
+            BoardGeometry {
+                columns: 8,
+                rows: 6,
+                square_mm: 10.0,
+            },
             Pose {
                 rotation: Rotation3::new(Vector3::new(0.2, -0.3, 0.1)),
                 translation: Vector3::new(-30.0, -20.0, 430.0),
@@ -140,7 +148,11 @@ mod tests {
         let t = target();
         for i in -1..8 {
             for j in -1..6 {
-                let place = Place { x: 10.0 * f64::from(i) + 5.0, y: 10.0 * f64::from(j) + 5.0, z: 430.0 };
+                let place = Place {
+                    x: 10.0 * f64::from(i) + 5.0,
+                    y: 10.0 * f64::from(j) + 5.0,
+                    z: 430.0,
+                };
                 let (value, share) = t.reflectance(&place, (0.05, 0.05));
                 let expected = if (i + j) % 2 == 0 { BLACK } else { WHITE };
                 assert!((value - expected).abs() < 1e-9, "square {i}, {j}: {value}");
@@ -148,17 +160,40 @@ mod tests {
             }
         }
         for (x, y) in [(-15.0, 20.0), (85.0, 20.0), (30.0, -14.0), (30.0, 64.0)] {
-            assert!((t.reflectance(&Place { x, y, z: 430.0 }, (0.05, 0.05)).0 - WHITE).abs() < 1e-9);
+            assert!(
+                (t.reflectance(&Place { x, y, z: 430.0 }, (0.05, 0.05)).0 - WHITE).abs() < 1e-9
+            );
         }
-        assert_eq!(t.reflectance(&Place { x: 95.0, y: 0.0, z: 430.0 }, (0.05, 0.05)).1, 0.0);
+        assert_eq!(
+            t.reflectance(
+                &Place {
+                    x: 95.0,
+                    y: 0.0,
+                    z: 430.0
+                },
+                (0.05, 0.05)
+            )
+            .1,
+            0.0
+        );
     }
 
     #[test]
     fn an_edge_is_half_way_between() {
         let t = target();
-        for (x, y) in [(0.0, 5.0), (70.0, 35.0), (25.0, 50.0), (80.0, 5.0), (35.0, 60.0), (-10.0, -5.0)] {
+        for (x, y) in [
+            (0.0, 5.0),
+            (70.0, 35.0),
+            (25.0, 50.0),
+            (80.0, 5.0),
+            (35.0, 60.0),
+            (-10.0, -5.0),
+        ] {
             let (value, _) = t.reflectance(&Place { x, y, z: 430.0 }, (0.05, 0.05));
-            assert!((value - 0.5 * (WHITE + BLACK)).abs() < 1e-6, "{x}, {y}: {value}");
+            assert!(
+                (value - 0.5 * (WHITE + BLACK)).abs() < 1e-6,
+                "{x}, {y}: {value}"
+            );
         }
     }
 

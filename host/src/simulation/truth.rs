@@ -44,7 +44,10 @@ impl Truth {
         };
         let rounded = |p: &Point3| {
             let pixel = scene.camera.project(p)?;
-            Some([(pixel.x * 100.0).round() / 100.0, (pixel.y * 100.0).round() / 100.0])
+            Some([
+                (pixel.x * 100.0).round() / 100.0,
+                (pixel.y * 100.0).round() / 100.0,
+            ])
         };
         let pixels: Vec<[f64; 2]> = [-4.4, -2.2, 0.0, 2.2, 4.4]
             .iter()
@@ -91,7 +94,10 @@ fn direction(points: &[Point3]) -> Vector3 {
         .map(|p| (p.coords - mean) * (p.coords - mean).transpose())
         .sum();
     let eigen = scatter.symmetric_eigen();
-    let d: Vector3 = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let d: Vector3 = eigen
+        .eigenvectors
+        .column(eigen.eigenvalues.imax())
+        .into_owned();
     match (points.first(), points.last()) {
         (Some(a), Some(b)) if d.dot(&(b - a)) < 0.0 => -d,
         _ => d,
@@ -149,7 +155,11 @@ pub fn scan_stripe(renderer: &Renderer, plane: &Plane) -> Vec<Option<f64>> {
                 if let (Some(a), Some(b)) = (before, here)
                     && (a <= 0.0) != (b <= 0.0)
                 {
-                    return refine(|v| distance(u, v, guess).map(|d| d.0), v as f64 - 1.0, v as f64);
+                    return refine(
+                        |v| distance(u, v, guess).map(|d| d.0),
+                        v as f64 - 1.0,
+                        v as f64,
+                    );
                 }
                 before = here;
             }
@@ -241,7 +251,10 @@ pub fn to_json(renderer: &Renderer, truth: &Truth, recorded: &Recorded) -> Value
         .scan
         .iter()
         .map(|l| {
-            let plane = Plane { normal: laser.model.normal, d: l.d };
+            let plane = Plane {
+                normal: laser.model.normal,
+                d: l.d,
+            };
             let v: Vec<Option<f64>> = scan_stripe(renderer, &plane)
                 .into_iter()
                 .map(|v| v.map(|v| round(v, 1e4)))
@@ -289,4 +302,3 @@ pub fn to_json(renderer: &Renderer, truth: &Truth, recorded: &Recorded) -> Value
         },
     })
 }
-
