@@ -24,6 +24,7 @@ pub mod geometry;
 pub mod image;
 pub mod needle;
 pub mod progress;
+pub mod report;
 pub mod session;
 pub mod simulation;
 pub mod stripe;

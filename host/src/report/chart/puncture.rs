@@ -1,0 +1,75 @@
+//! Charts of the puncture: Figures 25 to 27, and the force over the angle.
+
+use super::{Kind, Plot, Series};
+use crate::report::model::{Puncture, PunctureRun};
+
+/// Figures 25 and 27: the whole force of each run over time.
+pub fn forces(p: &Puncture) -> Plot {
+    Plot {
+        title: "Force on the needle at each angle (as Figures 25 and 27)".into(),
+        x_label: "time / s".into(),
+        y_label: "force / N".into(),
+        series: p
+            .runs
+            .iter()
+            .enumerate()
+            .map(|(i, r)| {
+                let points = r.curve.iter().map(|c| (c[0], c[1])).collect();
+                Series::new(&format!("{:.0}°", r.angle_deg), i, Kind::Line, points)
+            })
+            .collect(),
+        ..Plot::default()
+    }
+}
+
+/// Figure 26: the force of each layer over time, with the moments of puncture.
+pub fn force_by_layer(r: &PunctureRun) -> Plot {
+    let layer = |name: &str, colour: usize, k: usize| {
+        let points = r.curve.iter().map(|c| (c[0], c[k])).collect();
+        Series::new(name, colour, Kind::Line, points)
+    };
+    Plot {
+        title: format!("Force of each layer at {:.0}° (as Figure 26)", r.angle_deg),
+        x_label: "time / s".into(),
+        y_label: "force / N".into(),
+        series: vec![layer("skin", 1, 2), layer("fat", 4, 3), layer("vein", 0, 4)],
+        marks: r
+            .events
+            .iter()
+            .filter_map(|(name, _, puncture, _)| Some(((*puncture)?, format!("{name} punctured"))))
+            .collect(),
+        ..Plot::default()
+    }
+}
+
+/// The fast model's peak force over the angle, with its band.
+pub fn force_over_angle(p: &Puncture) -> Plot {
+    let mut band: Vec<(f64, f64)> = p.force_over_angle.iter().map(|r| (r[0], r[2])).collect();
+    band.extend(p.force_over_angle.iter().rev().map(|r| (r[0], r[3])));
+    let middle = p.force_over_angle.iter().map(|r| (r[0], r[1])).collect();
+    let mut series = vec![
+        Series::new("model's own error", 0, Kind::Area, band),
+        Series::new("fast model", 0, Kind::Line, middle),
+    ];
+    let runs: Vec<(f64, f64)> = p
+        .runs
+        .iter()
+        .map(|r| {
+            (
+                r.angle_deg,
+                r.curve.iter().map(|c| c[1]).fold(0.0, f64::max),
+            )
+        })
+        .collect();
+    if !runs.is_empty() {
+        series.push(Series::new("reference", 1, Kind::Dots, runs));
+    }
+    Plot {
+        title: "Peak force over the needle's angle".into(),
+        x_label: "angle / °".into(),
+        y_label: "peak force / N".into(),
+        series,
+        marks: vec![(p.angle_deg, "decided".into())],
+        ..Plot::default()
+    }
+}

@@ -1,0 +1,16 @@
+//! `report.html`: one file without network, for a screen and for paper.
+//!
+//! [`model`] is what a report shows, as plain data; [`chart`] draws; [`page`] puts it together. The
+//! turnable view is three.js, bundled by `host/report-viewer` into `viewer.min.js`.
+
+pub mod chart;
+pub mod model;
+mod page;
+mod raster;
+
+pub use model::Report;
+
+/// The whole page.
+pub fn render(report: &Report) -> String {
+    page::render(report)
+}

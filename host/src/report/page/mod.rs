@@ -1,0 +1,84 @@
+//! The page: head, top, and the sections in order.
+
+mod calibration;
+mod needle;
+mod provenance;
+mod puncture;
+mod scene;
+mod table;
+
+use super::chart::Plot;
+use super::model::Report;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+const STYLE: &str = include_str!("../style.css");
+const VIEWER: &str = include_str!("../viewer.min.js");
+
+/// The whole page as text.
+pub fn render(report: &Report) -> String {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                // Nothing may be fetched, whatever a file's name or text contains.
+                meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
+                link rel="icon" href="data:,";
+                title { "Cannula: " (report.title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                main {
+                    h1 { "Needle path: " (report.title) }
+                    p.soft { (report.provenance.time) " · " (report.provenance.program) }
+                    (needle::top(report))
+                    @if let Some(s) = &report.scene { (scene::section(s)) }
+                    (provenance::truth(&report.truth))
+                    @if let Some(c) = &report.calibration { (calibration::section(c)) }
+                    (needle::stripes(&report.stripes))
+                    @if let Some(p) = &report.puncture { (puncture::section(p)) }
+                    (provenance::section(&report.provenance))
+                    p.warn { "Research software. Not a medical device; not for use on people without the approval and supervision that your institution requires." }
+                }
+                @if report.scene.is_some() { script { (PreEscaped(VIEWER)) } }
+            }
+        }
+    }
+    .into_string()
+}
+
+/// A chart as a figure.
+fn chart(plot: &Plot) -> Markup {
+    html! { figure role="img" aria-label=(plot.title) { (PreEscaped(plot.svg(560, 360))) } }
+}
+
+/// Fixed decimals with a true minus.
+fn number(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return "–".into();
+    }
+    let text = format!("{value:.decimals$}");
+    let zero = text
+        .trim_start_matches('-')
+        .chars()
+        .all(|c| c == '0' || c == '.');
+    match text.strip_prefix('-') {
+        Some(rest) if zero => rest.into(),
+        Some(rest) => format!("−{rest}"),
+        None => text,
+    }
+}
+
+/// A vector in parentheses.
+fn vector(v: &[f64; 3], decimals: usize) -> String {
+    format!(
+        "({}, {}, {})",
+        number(v[0], decimals),
+        number(v[1], decimals),
+        number(v[2], decimals)
+    )
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,158 @@
+//! The top of the page: angle, verdict, entry and axis, the picture; and the stripes.
+
+use super::table::table;
+use super::{chart, number, vector};
+use crate::report::chart as charts;
+use crate::report::model::{Needle, Picture, Report, StripeSample, Verdict};
+use crate::report::raster;
+use maud::{Markup, html};
+
+/// What the reader came for.
+pub fn top(report: &Report) -> Markup {
+    html! {
+        div.top {
+            div {
+                @if let Some(n) = &report.needle { (angle(n)) }
+                @if let Some(v) = &report.verdict { (verdict(v)) }
+                @if let Some(n) = &report.needle { (details(n)) }
+            }
+            @if let Some(p) = &report.picture { (picture(p)) }
+        }
+    }
+}
+
+fn angle(n: &Needle) -> Markup {
+    html! {
+        p.angle {
+            (number(n.angle_deg, 1)) "°"
+            small { " ± " (number(n.angle_sigma_deg, 2)) "° (1 σ)" }
+        }
+        p.soft { "to the plane of the skin at the entry; angle from " (n.angle_source) "." }
+    }
+}
+
+fn verdict(v: &Verdict) -> Markup {
+    html! {
+        div.verdict.not[!v.usable] {
+            strong { @if v.usable { "Usable" } @else { "Not usable" } }
+            @if v.usable && v.reasons.is_empty() { ": nothing that was checked speaks against it." }
+            @if !v.reasons.is_empty() { ul { @for r in &v.reasons { li { (r) } } } }
+            @if !v.warnings.is_empty() {
+                p { "Weak:" }
+                ul { @for w in &v.warnings { li { (w) } } }
+            }
+        }
+    }
+}
+
+fn details(n: &Needle) -> Markup {
+    let head: Vec<String> = std::iter::once(String::new())
+        .chain(n.frames.iter().map(|f| format!("{} frame", f.name)))
+        .collect();
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let row = |name: &str, of: fn(&crate::report::model::Frame) -> String| {
+        std::iter::once(name.to_string())
+            .chain(n.frames.iter().map(of))
+            .collect::<Vec<String>>()
+    };
+    let rows = [
+        row("entry / mm", |f| vector(&f.entry_mm, 3)),
+        row("needle axis", |f| vector(&f.axis, 5)),
+        row("plane's normal", |f| vector(&f.normal, 5)),
+        row("vein's direction", |f| vector(&f.vein, 5)),
+    ];
+    html! {
+        div.scroll { table {
+            thead { tr { @for h in &head { th { (h) } } } }
+            tbody { @for r in &rows { tr { @for c in r { td { (c) } } } } }
+        } }
+        p.soft {
+            @if let Some(s) = &n.entry_sigma_mm {
+                "Entry: σ " (number(s[0], 3)) ", " (number(s[1], 3)) ", " (number(s[2], 3)) " mm along X, Y, Z. "
+            }
+            @if let Some(s) = n.axis_sigma_deg { "Axis: σ " (number(s, 3)) "°. " }
+            "Plane fitted to " (n.region_points) " points within " (number(n.radius_mm, 1))
+            " mm of the entry, RMS distance " (number(n.region_rms_mm, 3)) " mm."
+        }
+    }
+}
+
+/// SVG polyline coordinates.
+fn path(points: &[[f64; 2]]) -> String {
+    points
+        .iter()
+        .map(|p| format!("{:.1},{:.1}", p[0] + 0.5, p[1] + 0.5))
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+fn picture(p: &Picture) -> Markup {
+    let stroke = p.image.width as f64 / 400.0;
+    html! {
+        figure {
+            div.drawn {
+                img src=(raster::data_uri(&raster::brightened(&p.image))) alt="The hand, with entry, vein, region and needle drawn on it" width=(p.image.width) height=(p.image.height);
+                svg viewBox=(format!("0 0 {} {}", p.image.width, p.image.height)) aria-hidden="true" {
+                    polygon points=(path(&p.region)) fill="#0072B2" fill-opacity="0.18" stroke="#56B4E9" stroke-width=(stroke) {}
+                    polyline points=(path(&p.vein)) fill="none" stroke="#CC79A7" stroke-width=(1.5 * stroke) stroke-dasharray=(format!("{} {}", 5.0 * stroke, 3.0 * stroke)) {}
+                    polyline points=(path(&p.needle)) fill="none" stroke="#E69F00" stroke-width=(2.0 * stroke) {}
+                    circle cx=(p.entry[0] + 0.5) cy=(p.entry[1] + 0.5) r=(2.5 * stroke) fill="#D55E00" stroke="#fff" stroke-width=(0.6 * stroke) {}
+                }
+            }
+            figcaption {
+                span.key style="background:#D55E00" {} "entry · "
+                span.key style="background:#E69F00" {} "needle before the entry · "
+                span.key style="background:#CC79A7" {} "vein · "
+                span.key style="background:#56B4E9" {} "region of the plane (brightened image)"
+            }
+        }
+    }
+}
+
+/// The stripes section.
+pub fn stripes(samples: &[StripeSample]) -> Markup {
+    html! {
+        @if !samples.is_empty() {
+            h2 { "Stripes" }
+            p.soft { "Pieces of scan frames with the extracted centre drawn at sub-pixel scale; below each, the standard deviation of every centre." }
+            div.charts { @for s in samples { (sample(s)) } }
+        }
+    }
+}
+
+fn sample(s: &StripeSample) -> Markup {
+    let at = |c: &[f64; 4]| (c[0] - s.origin[0] + 0.5, c[1] - s.origin[1] + 0.5);
+    html! {
+        div {
+            figure {
+                div.drawn.zoomed {
+                    img src=(raster::data_uri(&raster::brightened(&s.image))) alt=(format!("Piece of {}", s.name)) width=(s.image.width) height=(s.image.height);
+                    svg viewBox=(format!("0 0 {} {}", s.image.width, s.image.height)) aria-hidden="true" {
+                        @for c in &s.centres {
+                            @let (x, y) = at(c);
+                            circle cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r="0.22" fill=(if c[3] >= 0.5 { "#D55E00" } else { "#E69F00" }) {}
+                        }
+                    }
+                }
+                figcaption { (s.name) ", slide at " (number(s.slide_mm, 2)) " mm" }
+            }
+            (chart(&charts::quality(s)))
+        }
+    }
+}
+
+/// Used by the calibration's parameters too: name, value, σ, unit.
+pub fn parameters(rows: &[(String, f64, Option<f64>, String)]) -> Markup {
+    let rows: Vec<Vec<String>> = rows
+        .iter()
+        .map(|(name, value, sigma, unit)| {
+            vec![
+                name.clone(),
+                number(*value, 5),
+                sigma.map_or("–".into(), |s| number(s, 5)),
+                unit.clone(),
+            ]
+        })
+        .collect();
+    table("Parameters", &["", "value", "σ", "unit"], &rows)
+}

@@ -1,0 +1,46 @@
+//! Errors against the truth, and how the result came about.
+
+use super::number;
+use super::table::table;
+use crate::report::model::{Provenance, TruthRow};
+use maud::{Markup, html};
+
+/// Errors against the truth of a simulated rig.
+pub fn truth(rows: &[TruthRow]) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            h2 { "Against the truth" }
+            p.soft { "The rig is simulated, so the truth is known." }
+            div.scroll { table {
+                thead { tr { th { "" } th { "error" } th { "unit" } th { "asked" } } }
+                tbody { @for r in rows { tr {
+                    td { (r.what) }
+                    td.over[r.limit.is_some_and(|l| r.error > l)] { (number(r.error, 4)) }
+                    td { (r.unit) }
+                    td { @if let Some(l) = r.limit { "≤ " (number(l, 3)) } @else { "–" } }
+                } } }
+            } }
+        }
+    }
+}
+
+/// The section.
+pub fn section(p: &Provenance) -> Markup {
+    let settings: Vec<Vec<String>> = p
+        .settings
+        .iter()
+        .map(|(k, v)| vec![k.clone(), v.clone()])
+        .collect();
+    let stages: Vec<Vec<String>> = p
+        .stages
+        .iter()
+        .map(|(k, ms)| vec![k.clone(), number(*ms, 1)])
+        .collect();
+    html! {
+        h2 { "Provenance" }
+        p { (p.program) @if !p.session.is_empty() { "; session " code { (p.session) } } "; " (p.time) "." }
+        @if !p.command.is_empty() { p { code { (p.command) } } }
+        (table("Time per stage", &["stage", "ms"], &stages))
+        (table("Settings and thresholds", &["name", "value"], &settings))
+    }
+}

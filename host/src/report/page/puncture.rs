@@ -1,0 +1,23 @@
+//! The puncture: curves, decision, sensitivity.
+
+use super::table::given;
+use super::{chart, number};
+use crate::report::chart as charts;
+use crate::report::model::Puncture;
+use maud::{Markup, html};
+
+/// The section.
+pub fn section(p: &Puncture) -> Markup {
+    html! {
+        h2 { "Puncture" }
+        p { "Angle by the criterion «" (p.criterion) "»: " strong { (number(p.angle_deg, 1)) "°" } "." }
+        @for s in &p.sentences { p { (s) } }
+        div.charts {
+            @if !p.runs.is_empty() { (chart(&charts::forces(p))) }
+            @for r in &p.runs { (chart(&charts::force_by_layer(r))) }
+            @if !p.force_over_angle.is_empty() { (chart(&charts::force_over_angle(p))) }
+        }
+        (given("The decision, angle by angle", &p.decision))
+        (given("Sensitivity to friction and toughness", &p.sensitivity))
+    }
+}

@@ -1,0 +1,58 @@
+//! The turnable view and its controls.
+
+use crate::report::model::Scene;
+use crate::report::raster::base64;
+use maud::{Markup, PreEscaped, html};
+
+/// The section.
+pub fn section(s: &Scene) -> Markup {
+    html! {
+        h2 { "The scan in space" }
+        div.controls {
+            label { "colour " select { option value="height" { "height" } option value="brightness" { "brightness" } } }
+            label { input type="checkbox" data-layer="cloud" checked; " cloud" }
+            label { input type="checkbox" data-layer="plane" checked; " " span.key style="background:#0072b2" {} "plane" }
+            label { input type="checkbox" data-layer="section" checked; " " span.key style="background:#cc79a7" {} "vein's section plane" }
+            label { input type="checkbox" data-layer="vein" checked; " " span.key style="background:#56b4e9" {} "vein" }
+            label { input type="checkbox" data-layer="needle" checked; " " span.key style="background:#d55e00" {} "needle" }
+            button type="button" { "first view" }
+        }
+        div.view-3d data-scene="scene-data" {
+            canvas {}
+            div.under-pointer {}
+            p.no-view { "This browser has no WebGL; the cloud is in cloud.ply." }
+        }
+        p.soft { (s.points.len()) " points. Drag to turn, wheel or pinch to zoom, right drag or two fingers to pan; the point under the pointer is given in the camera's frame." }
+        script type="application/json" id="scene-data" { (PreEscaped(data(s))) }
+    }
+}
+
+/// The data as JSON; positions and brightness as base64 of little-endian floats and bytes. Only
+/// numbers and base64, so nothing in it can end the script element.
+fn data(s: &Scene) -> String {
+    let positions: Vec<u8> = s
+        .points
+        .iter()
+        .flatten()
+        .flat_map(|x| x.to_le_bytes())
+        .collect();
+    // Colours between the 1st and 99th percentile of height: single points do not flatten them.
+    let mut z: Vec<f32> = s.points.iter().map(|p| p[2]).collect();
+    z.sort_by(f32::total_cmp);
+    let at = |q: usize| z.get(z.len() * q / 100).copied().unwrap_or(0.0);
+    serde_json::json!({
+        "positions": base64(&positions),
+        "brightness": base64(&s.brightness),
+        "height_range": [at(1), at(99)],
+        "point_size": s.point_size_mm,
+        "plane": s.plane,
+        "section": s.section,
+        "vein": (s.vein.len() > 1).then_some(&s.vein),
+        "needle": s.needle.map(|n| serde_json::json!({
+            "from": n.from, "entry": n.entry, "to": n.to, "radius": n.radius,
+        })),
+        "focus": s.focus,
+        "reach": s.reach_mm,
+    })
+    .to_string()
+}
