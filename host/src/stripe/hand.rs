@@ -1,6 +1,21 @@
-//! The stripe on skin.
+//! The stripe on skin: one sub-pixel centre a column, in segments without a jump.
+//!
+//! A search over the whole frame gives candidates a column ([`super::search`]), continuity makes
+//! chains of them ([`super::link`]), a Gaussian profile with the width of its neighbourhood is
+//! fitted in each column ([`super::profile`]), and the centres are smoothed along the stripe as
+//! far as their scatter bears it ([`super::smooth`]).
+//!
+//! Skin's albedo changes under the profile (veins, spots) and draws the centre towards the brighter
+//! side: a Gaussian of width s times exp(g·v) is the same Gaussian moved by s²·g, with g the
+//! logarithmic gradient of the albedo. The ambient image shows g, and the centre is moved back.
 
+use super::chain;
+use super::link::{self, Chain};
+use super::profile::{Fit, Noise};
+use super::search::{self, Region};
+use super::smooth::{Curve, Sample};
 use super::{Axis, StripeError, StripePoint};
+use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
 
 /// What to expect of the stripe.
@@ -10,6 +25,8 @@ pub struct HandSettings {
     pub axis: Axis,
     /// Smooth the centres along the stripe, as far as the data bear it.
     pub smooth: bool,
+    /// Correct the centres for the albedo's gradient in the ambient image.
+    pub albedo: bool,
 }
 
 impl Default for HandSettings {
@@ -17,6 +34,7 @@ impl Default for HandSettings {
         Self {
             axis: Axis::Columns,
             smooth: true,
+            albedo: true,
         }
     }
 }
@@ -42,6 +60,13 @@ pub struct Segment {
     pub correlation: f64,
 }
 
+/// Columns left out at each end of a segment: the edge of the surface is blurred into them.
+const END: usize = 2;
+/// Fewest columns of a segment.
+const LEAST: usize = 10;
+/// Columns on either side that vote on a jump, and on the local width.
+const SIDE: usize = 8;
+
 /// The stripe's segments in a frame with the laser on; `ambient` is the same view without it.
 /// No stripe is an empty list; images of two sizes, or swapped ones, are errors.
 pub fn extract<P: Pixel>(
@@ -49,6 +74,319 @@ pub fn extract<P: Pixel>(
     ambient: Option<&Image<P>>,
     settings: &HandSettings,
 ) -> Result<Vec<Segment>, StripeError> {
-    let _ = (image, ambient, settings);
-    Ok(Vec::new())
+    if let Some(ambient) = ambient {
+        super::same_size(image, ambient)?;
+    }
+    match settings.axis {
+        Axis::Columns => in_columns(image, ambient, settings),
+        Axis::Rows => {
+            let turned = super::transposed(image);
+            let turned_ambient = ambient.map(super::transposed);
+            let mut segments = in_columns(&turned, turned_ambient.as_ref(), settings)?;
+            for point in segments.iter_mut().flat_map(|s| &mut s.points) {
+                point.pixel = Vector2::new(point.pixel.y, point.pixel.x);
+                point.across = Vector2::new(point.across.y, point.across.x);
+            }
+            Ok(segments)
+        }
+    }
+}
+
+/// [`extract`] with one centre a column.
+fn in_columns<P: Pixel>(
+    image: &Image<P>,
+    ambient: Option<&Image<P>>,
+    settings: &HandSettings,
+) -> Result<Vec<Segment>, StripeError> {
+    let region = Region::whole(image);
+    let candidates = search::candidates(image, ambient, &region);
+    let mut chains = link::chains(&candidates, LEAST);
+    if let Some(ambient) = ambient {
+        refuse_swapped(image, ambient, &chains)?;
+    }
+    chains.sort_by_key(|c| c.points.first().map_or(0, |p| p.u));
+    let noise = chain::noise(image, ambient);
+    let mut segments = Vec::new();
+    for chain in &chains {
+        measure(image, ambient, chain, &noise, settings, &mut segments);
+    }
+    classify(&mut segments);
+    Ok(segments)
+}
+
+/// If the ambient image has a clear stripe and the frame has none, they are swapped.
+fn refuse_swapped<P: Pixel>(
+    image: &Image<P>,
+    ambient: &Image<P>,
+    chains: &[Chain],
+) -> Result<(), StripeError> {
+    let found: usize = chains.iter().map(|c| c.points.len()).sum();
+    if found * 10 > image.width() {
+        return Ok(());
+    }
+    let reversed = search::candidates(ambient, Some(image), &Region::whole(image));
+    let there = link::chains(&reversed, LEAST);
+    let reversed: usize = there.iter().map(|c| c.points.len()).sum();
+    if reversed * 10 > image.width() && reversed > 4 * found {
+        return Err(StripeError::Swapped);
+    }
+    Ok(())
+}
+
+/// Fits, splits and smooths one chain.
+fn measure<P: Pixel>(
+    image: &Image<P>,
+    ambient: Option<&Image<P>>,
+    chain: &Chain,
+    noise: &Noise,
+    settings: &HandSettings,
+    segments: &mut Vec<Segment>,
+) {
+    let mut fits: Vec<Fit> = chain::fit(image, ambient, chain, noise);
+    fits.retain(|f| f.variance.is_finite());
+    if let (Some(ambient), true) = (ambient, settings.albedo) {
+        correct_for_albedo(ambient, &mut fits);
+    }
+    for piece in split(&fits) {
+        if let Some(segment) = segment(piece, settings) {
+            segments.push(segment);
+        }
+    }
+}
+
+/// Moves each centre back by s²·d ln ρ/dv, ρ from the ambient image.
+fn correct_for_albedo<P: Pixel>(ambient: &Image<P>, fits: &mut [Fit]) {
+    let shifts: Vec<f32> = fits
+        .iter()
+        .map(|fit| {
+            // Least-squares slope over ± 2 s, at least five rows; shrunk where it is dim and
+            // the slope is mostly noise.
+            let reach = (2.0 * fit.width).ceil().clamp(2.0, 8.0) as usize;
+            let middle = fit.centre.round() as usize;
+            if middle < reach || middle + reach >= ambient.height() {
+                return 0.0;
+            }
+            let (mut sum, mut moment, mut squares) = (0.0, 0.0, 0.0);
+            for k in 0..=2 * reach {
+                let d = k as f32 - reach as f32;
+                let y: f32 = ambient.at(usize::from(fit.u), middle + k - reach).into();
+                sum += y;
+                moment += d * y;
+                squares += d * d;
+            }
+            let mean = sum / (2 * reach + 1) as f32;
+            let slope = moment / squares / mean.max(1.0);
+            let dark = 8.0 * P::MAX / 255.0;
+            let trust = mean * mean / (mean * mean + dark * dark);
+            trust * slope.clamp(-0.15, 0.15) * fit.width * fit.width
+        })
+        .collect();
+    for (i, fit) in fits.iter_mut().enumerate() {
+        let near = &shifts[i.saturating_sub(4)..(i + 5).min(shifts.len())];
+        fit.centre -= near.iter().sum::<f32>() / near.len() as f32;
+    }
+}
+
+/// Pieces between gaps and jumps.
+fn split(fits: &[Fit]) -> Vec<&[Fit]> {
+    let mut cuts = vec![0];
+    let mut i = 1;
+    while i < fits.len() {
+        if fits[i].u - fits[i - 1].u > SIDE as u16 || jump(fits, i, *cuts.last().unwrap_or(&0)) {
+            cuts.push(i);
+        }
+        i += 1;
+    }
+    cuts.push(fits.len());
+    cuts.windows(2).map(|w| &fits[w[0]..w[1]]).collect()
+}
+
+/// Whether the lines through the columns before and after `i` miss each other there.
+fn jump(fits: &[Fit], i: usize, start: usize) -> bool {
+    let (a, b) = (i.saturating_sub(SIDE).max(start), (i + SIDE).min(fits.len()));
+    if i - a < 4 || b - i < 4 {
+        return false;
+    }
+    let at = 0.5 * (f32::from(fits[i - 1].u) + f32::from(fits[i].u));
+    let (Some(before), Some(after)) = (line(&fits[a..i], at), line(&fits[i..b], at)) else {
+        return false;
+    };
+    let miss = (before.0 - after.0).abs();
+    miss > 1.5 && miss * miss > 36.0 * (before.1 + after.1)
+}
+
+/// A line through the centres, at column `at`: its row, and the row's variance from the scatter.
+fn line(fits: &[Fit], at: f32) -> Option<(f32, f32)> {
+    let n = fits.len() as f32;
+    let (mut sx, mut sy, mut sxx, mut sxy) = (0.0, 0.0, 0.0, 0.0);
+    let v0 = fits.first()?.centre;
+    for f in fits {
+        let (x, y) = (f32::from(f.u) - at, f.centre - v0);
+        sx += x;
+        sy += y;
+        sxx += x * x;
+        sxy += x * y;
+    }
+    let det = n * sxx - sx * sx;
+    if det < 1e-3 {
+        return None;
+    }
+    let intercept = (sxx * sy - sx * sxy) / det;
+    let slope = (n * sxy - sx * sy) / det;
+    let squares: f32 = fits
+        .iter()
+        .map(|f| (f.centre - v0 - intercept - slope * (f32::from(f.u) - at)).powi(2))
+        .sum();
+    let variance = (squares / (n - 2.0)).max(0.0025) * sxx / det;
+    Some((v0 + intercept, variance))
+}
+
+/// One segment of a continuous piece; `None` if too little of it is good.
+fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
+    if fits.len() < LEAST {
+        return None;
+    }
+    let all: Vec<Sample> = fits
+        .iter()
+        .map(|f| Sample {
+            u: f64::from(f.u),
+            v: f64::from(f.centre),
+            variance: f64::from(f.variance * f.chi2.max(1.0)) + 1e-5,
+        })
+        .collect();
+    let mut keep = near_median(&all);
+    // Twice: gross outliers bend the first curve.
+    let mut curve = None;
+    let mut scatter = 3.0;
+    for _ in 0..2 {
+        let good: Vec<Sample> = all
+            .iter()
+            .zip(&keep)
+            .filter(|(_, k)| **k)
+            .map(|(s, _)| *s)
+            .collect();
+        curve = Curve::fit(&good);
+        let Some(curve) = &curve else { break };
+        let mut ratios: Vec<f64> = all
+            .iter()
+            .map(|s| (s.v - curve.at(s.u).v).powi(2) / s.variance)
+            .collect();
+        let middle = ratios.len() / 2;
+        let median = *ratios.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
+        // The median of a squared normal deviate is 0.455.
+        scatter = (median / 0.455).max(0.05);
+        for (k, r) in keep.iter_mut().zip(&mut ratios) {
+            *k = *r < 4.5 * 4.5 * scatter;
+        }
+    }
+    let smoothed = curve.as_ref().filter(|_| settings.smooth);
+    let mut points: Vec<StripePoint> = fits
+        .iter()
+        .zip(&all)
+        .zip(&keep)
+        .filter(|(_, k)| **k)
+        .map(|((fit, sample), _)| {
+            let (v, variance) = match smoothed {
+                Some(curve) => {
+                    let s = curve.at(sample.u);
+                    (s.v, s.variance)
+                }
+                None => (sample.v, sample.variance * scatter),
+            };
+            StripePoint {
+                pixel: Vector2::new(sample.u, v),
+                across: Vector2::new(0.0, 1.0),
+                variance: variance + FLOOR * FLOOR,
+                intensity: fit.peak,
+                width_px: fit.width,
+                quality: quality(fit),
+            }
+        })
+        .collect();
+    if points.len() < LEAST {
+        return None;
+    }
+    points.truncate(points.len() - END);
+    points.drain(..END);
+    let mean = points.iter().map(|p| p.variance).sum::<f64>() / points.len() as f64;
+    let correlation = match &curve {
+        Some(curve) => (curve.column_variance() / mean).max(1.0),
+        None => 3.0,
+    };
+    Some(Segment {
+        points,
+        surface: Surface::Hand,
+        correlation,
+    })
+}
+
+/// What no smoothing takes away: model error of the profile, px.
+const FLOOR: f64 = 0.01;
+
+/// Columns within reach of their neighbours' median line.
+fn near_median(samples: &[Sample]) -> Vec<bool> {
+    let n = samples.len();
+    let mut window = Vec::with_capacity(2 * SIDE + 1);
+    (0..n)
+        .map(|i| {
+            let (a, b) = (i.saturating_sub(SIDE), (i + SIDE + 1).min(n));
+            // Slope from the ends' medians of three, so that a steep stripe is not cut.
+            let third = |j: usize| {
+                let mut three = [samples[j].v, samples[j + 1].v, samples[j + 2].v];
+                three.sort_by(f64::total_cmp);
+                (samples[j + 1].u, three[1])
+            };
+            let ((u0, v0), (u1, v1)) = (third(a), third(b - 3));
+            let slope = if u1 > u0 { (v1 - v0) / (u1 - u0) } else { 0.0 };
+            window.clear();
+            window.extend(
+                samples[a..b]
+                    .iter()
+                    .map(|s| s.v - slope * (s.u - samples[i].u)),
+            );
+            let middle = window.len() / 2;
+            let median = *window.select_nth_unstable_by(middle, f64::total_cmp).1;
+            (samples[i].v - median).abs() < 2.0
+        })
+        .collect()
+}
+
+/// 0 to 1, from the fit's residual and saturation.
+fn quality(fit: &Fit) -> f32 {
+    let model = 1.0 / (1.0 + (fit.chi2 - 1.0).max(0.0) / 4.0);
+    let open = 1.0 - (fit.saturated / (4.0 * fit.width)).min(0.8);
+    let precise = 1.0 / (1.0 + 4.0 * fit.variance);
+    (model * open * precise).clamp(0.0, 1.0)
+}
+
+/// Segments much dimmer than the strongest, and off its continuation, are the background.
+fn classify(segments: &mut [Segment]) {
+    let typical = |s: &Segment| {
+        let mut all: Vec<f32> = s.points.iter().map(|p| p.intensity).collect();
+        let middle = all.len() / 2;
+        *all.select_nth_unstable_by(middle, f32::total_cmp).1
+    };
+    let brightness: Vec<f32> = segments.iter().map(typical).collect();
+    let Some(main) = (0..segments.len()).max_by(|&a, &b| {
+        let energy = |i: usize| brightness[i] * segments[i].points.len() as f32;
+        energy(a).total_cmp(&energy(b))
+    }) else {
+        return;
+    };
+    for i in 0..segments.len() {
+        if brightness[i] < 0.35 * brightness[main] && !continues(&segments[main], &segments[i]) {
+            segments[i].surface = Surface::Background;
+        }
+    }
+}
+
+/// Whether `other` lies where `main` would go on (a dark patch of the same surface).
+fn continues(main: &Segment, other: &Segment) -> bool {
+    let ends = |s: &Segment| Some((s.points.first()?.pixel, s.points.last()?.pixel));
+    let (Some((a0, a1)), Some((b0, b1))) = (ends(main), ends(other)) else {
+        return false;
+    };
+    let (p, q) = if b0.x > a1.x { (a1, b0) } else { (a0, b1) };
+    let gap = (p.x - q.x).abs();
+    gap < 40.0 && (p.y - q.y).abs() < 3.0 + 0.5 * gap
 }

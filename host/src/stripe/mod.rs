@@ -3,11 +3,17 @@
 //! [`hand`] finds the stripe on skin in a frame of a scan, [`board`] on the checkerboard.
 
 pub mod board;
+mod chain;
 pub mod hand;
+mod link;
+mod profile;
+mod search;
+mod smooth;
 
 pub mod paper;
 
 use crate::geometry::Vector2;
+use crate::image::{Image, Pixel};
 
 /// One point on the centre of the laser's stripe.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,3 +93,38 @@ pub enum StripeError {
         rows: usize,
     },
 }
+
+/// Both images of a pair must have one size.
+fn same_size<P: Pixel>(on: &Image<P>, off: &Image<P>) -> Result<(), StripeError> {
+    if on.width() == off.width() && on.height() == off.height() {
+        return Ok(());
+    }
+    Err(StripeError::Size {
+        on_width: on.width(),
+        on_height: on.height(),
+        off_width: off.width(),
+        off_height: off.height(),
+    })
+}
+
+/// Rows for columns.
+fn transposed<P: Pixel>(image: &Image<P>) -> Image<P> {
+    let (width, height) = (image.width(), image.height());
+    let mut turned = Image::new(height, width, P::default());
+    let pixels = turned.pixels_mut();
+    // Tiles, so that both sides stay in the cache.
+    for v0 in (0..height).step_by(32) {
+        for u0 in (0..width).step_by(32) {
+            for v in v0..(v0 + 32).min(height) {
+                let row = image.row(v);
+                for u in u0..(u0 + 32).min(width) {
+                    pixels[u * height + v] = row[u];
+                }
+            }
+        }
+    }
+    turned
+}
+
+#[cfg(test)]
+mod tests;

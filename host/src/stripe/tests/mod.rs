@@ -1,0 +1,3 @@
+//! Tests against recordings with truth and against a renderer of their own.
+
+mod recordings;
