@@ -92,12 +92,17 @@ fn rough_width<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, chain: &Chain) -
         }
     }
     let base = (mean[..4].iter().sum::<f32>() + mean[2 * REACH - 3..].iter().sum::<f32>()) / 8.0;
-    let top = mean[REACH - 1..=REACH + 1].iter().fold(base, |a, b| a.max(*b));
+    let top = mean[REACH - 1..=REACH + 1]
+        .iter()
+        .fold(base, |a, b| a.max(*b));
     let level = base + 0.5 * (top - base);
     let crossing = |towards: isize| -> f32 {
         let mut at = REACH as isize;
         for k in 1..REACH as isize {
-            let (near, far) = (mean[at as usize], mean[(REACH as isize + towards * k) as usize]);
+            let (near, far) = (
+                mean[at as usize],
+                mean[(REACH as isize + towards * k) as usize],
+            );
             if far < level {
                 return (k - 1) as f32 + (near - level) / (near - far).max(1e-6);
             }
@@ -118,7 +123,12 @@ fn local_widths(fits: &[Fit], rough: f32) -> Vec<f32> {
         .map(|i| {
             let (a, b) = (i.saturating_sub(SIDE), (i + SIDE + 1).min(fits.len()));
             window.clear();
-            window.extend(fits[a..b].iter().filter(|f| f.variance.is_finite()).map(|f| f.width));
+            window.extend(
+                fits[a..b]
+                    .iter()
+                    .filter(|f| f.variance.is_finite())
+                    .map(|f| f.width),
+            );
             if window.len() < 3 {
                 return rough;
             }

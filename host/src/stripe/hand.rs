@@ -203,7 +203,10 @@ fn split(fits: &[Fit]) -> Vec<&[Fit]> {
 
 /// Whether the lines through the columns before and after `i` miss each other there.
 fn jump(fits: &[Fit], i: usize, start: usize) -> bool {
-    let (a, b) = (i.saturating_sub(SIDE).max(start), (i + SIDE).min(fits.len()));
+    let (a, b) = (
+        i.saturating_sub(SIDE).max(start),
+        (i + SIDE).min(fits.len()),
+    );
     if i - a < 4 || b - i < 4 {
         return false;
     }
@@ -272,7 +275,10 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
             .map(|s| (s.v - curve.at(s.u).v).powi(2) / s.variance)
             .collect();
         let middle = ratios.len() / 2;
-        let median = *ratios.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = *ratios
+            .clone()
+            .select_nth_unstable_by(middle, f64::total_cmp)
+            .1;
         // The median of a squared normal deviate is 0.455.
         scatter = (median / 0.455).max(0.05);
         for (k, r) in keep.iter_mut().zip(&mut ratios) {

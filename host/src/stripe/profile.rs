@@ -222,7 +222,11 @@ impl Windows {
             let d = k as f32 - half;
             for l in 0..LANES {
                 let reach = 2.0 * width0[l] + 1.0;
-                let near = if (d - start[l]).abs() <= reach { 1.0 } else { 0.0 };
+                let near = if (d - start[l]).abs() <= reach {
+                    1.0
+                } else {
+                    0.0
+                };
                 let y = (self.y[k][l] - 0.3 * peak[l]).max(0.0) * near;
                 mass[l] += y;
                 moment[l] += y * d;
@@ -324,7 +328,11 @@ impl Windows {
                 peak[l] = (peak[l] + da).clamp(0.3 * peak[l], 4.0 * peak[l]).max(0.05);
                 base[l] += db;
                 let step = 0.3 * width[l];
-                width[l] += if free_width { ds.clamp(-step, step) } else { 0.0 };
+                width[l] += if free_width {
+                    ds.clamp(-step, step)
+                } else {
+                    0.0
+                };
                 width[l] = width[l].clamp(0.4, 0.6 * half);
                 variance[l] = 1.0 / pivot;
                 chi2[l] = squares[l] / (used[l] - 4.0).max(1.0);

@@ -135,7 +135,11 @@ fn strip<P: Pixel>(
         }
         let old = &mut pixels[v % 8];
         *old = new;
-        let gone = if v >= 5 { pixels[(v - 5) % 8] } else { [0; STRIP] };
+        let gone = if v >= 5 {
+            pixels[(v - 5) % 8]
+        } else {
+            [0; STRIP]
+        };
         for l in 0..STRIP {
             // Never overflows: five values below 4096; wrapping keeps the loop plain.
             sum[l] = sum[l].wrapping_add(new[l]).wrapping_sub(gone[l]);
@@ -310,7 +314,11 @@ mod tests {
         let wide = Image::from_vec(
             width,
             height,
-            narrow.pixels().iter().map(|p| u16::from(*p) * 257).collect(),
+            narrow
+                .pixels()
+                .iter()
+                .map(|p| u16::from(*p) * 257)
+                .collect(),
         )
         .unwrap();
         let a = candidates(&narrow, None, &Region::whole(&narrow));

@@ -227,9 +227,8 @@ fn smooth(bins: &[Bin], q: f64, scale: f64) -> Vec<State> {
 
 /// One step of the smoother: x + G·(x⁺ − x⁻), P + G·(P⁺ − P⁻)·Gᵀ with G = P·Fᵀ·(P⁻)⁻¹.
 fn step_back(filtered: &State, predicted: &State, after: &State, dt: f64) -> State {
-    let full = |p: &[f64; 6]| {
-        nalgebra::Matrix3::new(p[0], p[1], p[2], p[1], p[3], p[4], p[2], p[4], p[5])
-    };
+    let full =
+        |p: &[f64; 6]| nalgebra::Matrix3::new(p[0], p[1], p[2], p[1], p[3], p[4], p[2], p[4], p[5]);
     let f = nalgebra::Matrix3::new(1.0, dt, 0.5 * dt * dt, 0.0, 1.0, dt, 0.0, 0.0, 1.0);
     let (p, ahead, later) = (full(&filtered.p), full(&predicted.p), full(&after.p));
     let Some(inverse) = ahead.try_inverse() else {

@@ -116,7 +116,9 @@ fn centres_on_the_hand_are_true() {
                 ..HandSettings::default()
             };
             let score = hand_score(&session, &settings, with);
-            score.print(&format!("{name} smooth {smooth} albedo {albedo} ambient {with}"));
+            score.print(&format!(
+                "{name} smooth {smooth} albedo {albedo} ambient {with}"
+            ));
         }
     }
 }
