@@ -4,7 +4,18 @@
 //! along the long side. The board is seen from its front: x right, y down, z away from the camera
 //! when it faces the camera upright.
 
+mod candidate;
+mod edge_model;
+mod grid;
+mod layout;
+mod levels;
+mod noise;
+mod refine;
+mod response;
+mod search;
 pub mod subpixel;
+#[cfg(test)]
+mod tests;
 
 use crate::geometry::{Matrix2, Point3, Vector2};
 use crate::image::{Image, Pixel};
@@ -178,14 +189,70 @@ pub enum NotFound {
     },
 }
 
-/// Finds the board and its corners.
+/// Finds the board and its corners, at sub-pixel accuracy.
+///
+/// The whole board must be seen; its squares must be at least 8 px wide. Any turn, tilts to about
+/// 50°, uneven or weak light, and a laser stripe across the board are all right. Where columns +
+/// rows is odd, corner 0 is the one whose square between +x and +y is black; where it is even the
+/// board looks the same after half a turn, and x points to the right as far as it can ([`align`]
+/// settles it between images of one pose).
+///
+/// # Errors
+/// The reason why there is no such board in the image.
 pub fn detect<P: Pixel>(image: &Image<P>, geometry: &BoardGeometry) -> Result<Detection, NotFound> {
-    let _ = (image, geometry);
-    Err(NotFound::NoCorners { seen: 0 })
+    search::detect(image, geometry)
 }
 
 /// Renumbers `detection` so that it agrees with `reference` (another image of the same pose): of
-/// the board's symmetries (the half-turn of 8 × 6), the one with the smallest displacement.
+/// the board's symmetries (the half-turn of 8 × 6; quarter turns where columns = rows is even), the
+/// one with the smallest displacement. Detections of different boards are left as they are.
 pub fn align(detection: &mut Detection, reference: &Detection) {
-    let _ = (detection, reference);
+    let (columns, rows) = (detection.columns, detection.rows);
+    let n = detection.corners.len();
+    if columns * rows != n
+        || n != reference.corners.len()
+        || (reference.columns, reference.rows) != (columns, rows)
+    {
+        return;
+    }
+    // A turn takes (column, row) to where the turned board's corner of that number was.
+    let half = |c: usize, r: usize| (columns - 1 - c, rows - 1 - r);
+    let quarter = |c: usize, r: usize| (r, columns - 1 - c);
+    let mut turns: Vec<Vec<usize>> = vec![(0..n).collect()];
+    let numbering = |turn: &dyn Fn(usize, usize) -> (usize, usize)| -> Vec<usize> {
+        (0..n)
+            .map(|i| {
+                let (c, r) = turn(i % columns, i / columns);
+                r * columns + c
+            })
+            .collect()
+    };
+    if (columns + rows).is_multiple_of(2) {
+        turns.push(numbering(&half));
+    }
+    // A quarter turn swaps the colours of a corner an odd number of squares away, and back.
+    if columns == rows && columns.is_multiple_of(2) {
+        turns.push(numbering(&quarter));
+        turns.push(numbering(&|c, r| {
+            let (c, r) = half(c, r);
+            quarter(c, r)
+        }));
+    }
+    let displacement = |turn: &Vec<usize>| -> f64 {
+        turn.iter()
+            .zip(&reference.corners)
+            .map(|(&i, r)| (detection.corners[i].pixel - r.pixel).norm_squared())
+            .sum()
+    };
+    let best = turns
+        .iter()
+        .min_by(|a, b| displacement(a).total_cmp(&displacement(b)));
+    if let Some(turn) = best {
+        detection.corners = turn.iter().map(|&i| detection.corners[i]).collect();
+        for values in [&mut detection.quality.misfit, &mut detection.quality.masked] {
+            if values.len() == n {
+                *values = turn.iter().map(|&i| values[i]).collect();
+            }
+        }
+    }
 }

@@ -1,0 +1,644 @@
+//! Sub-pixel corners: the model of [`super::edge_model`] fitted to the pixels along each corner's
+//! two edges by Gauss–Newton, weighted by the noise that the whole board shows, with each corner's
+//! covariance from its normal matrix.
+//!
+//! In a point-symmetric patch the position decouples from blur, angles and grey levels, so that
+//! they may be wrong together without moving it.
+
+use super::edge_model::{FREE, Normal, Parameters, Patch, accumulate, index};
+use super::layout::Layout;
+use super::noise::{Noise, mask_foreign};
+use super::{BoardGeometry, Corner, Detection, NotFound, Quality};
+use crate::geometry::{Homography, Matrix2, Vector2};
+use crate::image::{Image, Pixel};
+use nalgebra::{SMatrix, SVector};
+
+/// The longest edge used on each side of a corner, px.
+const LONGEST: f64 = 48.0;
+/// Part of a square's side that an edge is followed along.
+const ALONG: f64 = 0.85;
+/// Half the width of the band of pixels around an edge: this many blurs, and a pixel's half.
+const BAND: f64 = 3.3;
+/// More blur than this part of a square's side, and neighbouring edges run into each other.
+pub(super) const MOST_BLUR: f64 = 0.18;
+/// Standard deviation that no covariance goes below, px: what the model leaves on clean images.
+const FLOOR: f64 = 1e-3;
+
+/// A corner on its way.
+#[derive(Clone, Debug)]
+pub(super) struct Site {
+    /// Pixel that the patch's coordinates count from.
+    origin: Vector2,
+    pub(super) parameters: Parameters,
+    pub(super) patch: Patch,
+    /// Steps to the next corner along x and y, px.
+    steps: [Vector2; 2],
+    /// How far the two edges may be followed: −x, +x, −y, +y, px.
+    reach: [f64; 4],
+    /// Whether the fit can be believed so far.
+    sound: bool,
+    pub(super) masked: f64,
+}
+
+impl Site {
+    fn position(&self) -> Vector2 {
+        let f = &self.parameters.free;
+        self.origin + Vector2::new(f[index::X], f[index::Y])
+    }
+
+    fn contrast(&self) -> f64 {
+        2.0 * self.parameters.free[index::HALF].abs()
+    }
+
+    fn sigma(&self) -> f64 {
+        self.parameters.free[index::SIGMA]
+    }
+
+    /// Starts at `p` with edges along the steps and no shading.
+    fn place(&mut self, p: Vector2, sigma: f64, mean: f64, half: f64) {
+        self.origin = p.map(f64::round);
+        // Normals: of the x line towards +y, of the y line towards +x, so that the square between
+        // +x and +y has K > 0.
+        let normal = |along: Vector2, towards: Vector2| {
+            let n = Vector2::new(-along.y, along.x);
+            let n = if n.dot(&towards) < 0.0 { -n } else { n };
+            n.y.atan2(n.x)
+        };
+        let d = p - self.origin;
+        let [ex, ey] = self.steps;
+        let mut free = [0.0; FREE];
+        free[index::X] = d.x;
+        free[index::Y] = d.y;
+        free[index::THETA] = normal(ex, ey);
+        free[index::THETA + 1] = normal(ey, ex);
+        free[index::SIGMA] = sigma;
+        free[index::MEAN] = mean;
+        free[index::HALF] = half;
+        self.parameters.free = free;
+    }
+
+    /// Takes the pixels within `band` of either edge, no farther along than `reach`.
+    fn gather<P: Pixel>(&mut self, image: &Image<P>, reach: [f64; 4], band: f64) {
+        self.patch.clear();
+        let f = &self.parameters.free;
+        let (x0, y0) = (f[index::X], f[index::Y]);
+        let lines = [0, 1].map(|i| {
+            let (s, c) = f[index::THETA + i].sin_cos();
+            let along = Vector2::new(s, -c);
+            // `reach` counts along the steps.
+            let sign = if along.dot(&self.steps[i]) < 0.0 {
+                -1.0
+            } else {
+                1.0
+            };
+            (
+                Vector2::new(c, s),
+                along * sign,
+                reach[2 * i],
+                reach[2 * i + 1],
+            )
+        });
+        let farthest = reach.iter().fold(0.0, |a: f64, &b| a.max(b)) + band;
+        // A wide blur carries little per pixel.
+        let stride = ((self.sigma() / 2.0) as usize).max(1);
+        let (w, h) = (image.width() as i64, image.height() as i64);
+        let (ou, ov) = (self.origin.x as i64, self.origin.y as i64);
+        let first = ((y0 - farthest).ceil() as i64).max(-ov);
+        let last = ((y0 + farthest).floor() as i64).min(h - 1 - ov);
+        let mut y = first;
+        while y <= last {
+            let dy = y as f64 - y0;
+            let mut spans = lines.map(|(n, t, back, ahead)| {
+                let (a, b) = span(n, dy, -band, band);
+                let (c, d) = span(t, dy, -back, ahead);
+                let low = (x0 + a.max(c)).ceil().max(-(ou as f64));
+                let high = (x0 + b.min(d)).floor().min((w - 1 - ou) as f64);
+                (low as i64, high as i64)
+            });
+            spans.sort_unstable();
+            let row = image.row((y + ov) as usize);
+            let mut next = i64::MIN;
+            for (low, high) in spans {
+                let mut x = low.max(next);
+                x += (x.rem_euclid(stride as i64) != 0) as i64
+                    * (stride as i64 - x.rem_euclid(stride as i64));
+                while x <= high {
+                    let value: f32 = row[(x + ou) as usize].into();
+                    self.patch.push(x as f32, y as f32, value);
+                    x += stride as i64;
+                }
+                next = next.max(high + 1);
+            }
+            y += stride as i64;
+        }
+        self.patch.finish();
+    }
+
+    /// Gauss–Newton steps until the position moves by less than `enough`; `None` when the fit fails.
+    fn fit(&mut self, steps: usize, enough: f64) -> Option<()> {
+        for _ in 0..steps {
+            let normal = accumulate(&self.patch, &self.parameters);
+            let mut delta = solve(&normal)?;
+            let sigma = self.sigma();
+            // No farther than the linearisation holds.
+            let moved = delta[index::X].hypot(delta[index::Y]);
+            let limit = 1.5 * sigma;
+            if moved > limit {
+                delta *= limit / moved;
+            }
+            for i in 0..2 {
+                delta[index::THETA + i] = delta[index::THETA + i].clamp(-0.15, 0.15);
+            }
+            let f = &mut self.parameters.free;
+            for (f, d) in f.iter_mut().zip(delta.iter()) {
+                *f += d;
+            }
+            f[index::SIGMA] = f[index::SIGMA].clamp(0.6 * sigma, 1.6 * sigma).max(0.3);
+            if !f.iter().all(|x| x.is_finite()) {
+                return None;
+            }
+            if moved < enough {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// How far edges may be followed at this blur.
+    fn clear_reach(&self) -> [f64; 4] {
+        let edge = 3.5 * self.sigma() + 1.0;
+        let shortest = self.steps[0].norm().min(self.steps[1].norm());
+        self.reach
+            .map(|r| (r - edge).min(ALONG * r).min(LONGEST).max(0.3 * shortest))
+    }
+}
+
+/// The dx for which low ≤ n·(dx, dy) ≤ high.
+fn span(n: Vector2, dy: f64, low: f64, high: f64) -> (f64, f64) {
+    let rest = n.y * dy;
+    if n.x.abs() < 1e-9 {
+        return if (low..=high).contains(&rest) {
+            (-1e9, 1e9)
+        } else {
+            (1e9, -1e9)
+        };
+    }
+    let (a, b) = ((low - rest) / n.x, (high - rest) / n.x);
+    (a.min(b), a.max(b))
+}
+
+/// The step of the normal equations, scaled to unit diagonal; `None` if they are singular.
+fn solve(normal: &Normal) -> Option<SVector<f64, FREE>> {
+    let (matrix, scale) = scaled(normal)?;
+    let right = SVector::<f64, FREE>::from_fn(|i, _| normal.products[i][FREE] * scale[i]);
+    let step = matrix.cholesky()?.solve(&right);
+    Some(step.component_mul(&scale))
+}
+
+fn scaled(normal: &Normal) -> Option<(SMatrix<f64, FREE, FREE>, SVector<f64, FREE>)> {
+    let p = &normal.products;
+    let scale = SVector::<f64, FREE>::from_fn(|i, _| 1.0 / p[i][i].sqrt());
+    if !scale.iter().all(|s| s.is_finite()) {
+        return None;
+    }
+    let matrix =
+        SMatrix::from_fn(|i, j| p[i][j] * scale[i] * scale[j] + if i == j { 1e-7 } else { 0.0 });
+    Some((matrix, scale))
+}
+
+/// The position's covariance in units of the weights.
+fn position_covariance(normal: &Normal) -> Option<Matrix2> {
+    let (matrix, scale) = scaled(normal)?;
+    let inverse = matrix.cholesky()?.inverse();
+    let at = |i: usize, j: usize| inverse[(i, j)] * scale[i] * scale[j];
+    Some(Matrix2::new(at(0, 0), at(0, 1), at(1, 0), at(1, 1)))
+}
+
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Refines all corners of a layout found at a level of 2ᵏ = `coarseness` pixels a pixel.
+pub(super) fn refine<P: Pixel>(
+    image: &Image<P>,
+    layout: &Layout,
+    geometry: &BoardGeometry,
+    coarseness: usize,
+) -> Result<Detection, NotFound> {
+    let mut board = Board::new(image, layout, geometry, coarseness);
+    board.approach();
+    board.check()?;
+    board.finish()
+}
+
+struct Board<'a, P> {
+    image: &'a Image<P>,
+    columns: usize,
+    rows: usize,
+    sites: Vec<Site>,
+    /// Sign of h at corner 0.
+    sign: f64,
+    coarseness: f64,
+    seen: Vec<bool>,
+}
+
+impl<'a, P: Pixel> Board<'a, P> {
+    fn new(
+        image: &'a Image<P>,
+        layout: &Layout,
+        geometry: &BoardGeometry,
+        coarseness: usize,
+    ) -> Self {
+        let (columns, rows) = (geometry.columns, geometry.rows);
+        let site = Site {
+            origin: Vector2::zeros(),
+            parameters: Parameters {
+                free: [0.0; FREE],
+                curvature: [0.0; 2],
+            },
+            patch: Patch::default(),
+            steps: [Vector2::zeros(); 2],
+            reach: [0.0; 4],
+            sound: false,
+            masked: 0.0,
+        };
+        let mut board = Self {
+            image,
+            columns,
+            rows,
+            sites: vec![site; columns * rows],
+            sign: if layout.dark_first { -1.0 } else { 1.0 },
+            coarseness: coarseness as f64,
+            seen: layout.places.iter().map(|p| p.seen).collect(),
+        };
+        let positions: Vec<Vector2> = layout.places.iter().map(|p| p.position).collect();
+        board.measure(&positions);
+        for (site, p) in board.sites.iter_mut().zip(&positions) {
+            site.origin = *p;
+        }
+        board
+    }
+
+    /// Steps and reach of every site from the positions of its neighbours.
+    fn measure(&mut self, positions: &[Vector2]) {
+        for i in 0..self.sites.len() {
+            let (column, row) = (i % self.columns, i / self.columns);
+            for (axis, (place, count, stride)) in
+                [(column, self.columns, 1), (row, self.rows, self.columns)]
+                    .into_iter()
+                    .enumerate()
+            {
+                let back = (place > 0).then(|| positions[i] - positions[i - stride]);
+                let ahead = (place + 1 < count).then(|| positions[i + stride] - positions[i]);
+                let step = match (back, ahead) {
+                    (Some(a), Some(b)) => (a + b) / 2.0,
+                    (Some(a), None) | (None, Some(a)) => a,
+                    (None, None) => Vector2::zeros(),
+                };
+                let site = &mut self.sites[i];
+                site.steps[axis] = step;
+                site.reach[2 * axis] = back.unwrap_or(step).norm();
+                site.reach[2 * axis + 1] = ahead.unwrap_or(step).norm();
+            }
+        }
+        for i in 0..self.sites.len() {
+            self.limit_border(i, positions[i]);
+        }
+    }
+
+    /// The outermost squares may be cut narrower than the others: where the two sides of an edge
+    /// do not differ as they should at 0.7 squares outwards, the edge is followed for 0.4 squares.
+    fn limit_border(&mut self, i: usize, p: Vector2) {
+        let (column, row) = (i % self.columns, i / self.columns);
+        let outward = [
+            (column == 0, 0, 0, -1.0),
+            (column + 1 == self.columns, 1, 0, 1.0),
+            (row == 0, 2, 1, -1.0),
+            (row + 1 == self.rows, 3, 1, 1.0),
+        ];
+        for (at_border, side, axis, sign) in outward {
+            if !at_border {
+                continue;
+            }
+            let along = self.sites[i].steps[axis] * sign;
+            let across = self.sites[i].steps[1 - axis] * 0.3;
+            let difference = |t: f64| {
+                let q = p + along * t;
+                self.grey(q + across) - self.grey(q - across)
+            };
+            let (near, far) = (difference(0.3), difference(0.75));
+            if !(far / near > 0.6 && far / near < 1.6) {
+                self.sites[i].reach[side] *= 0.4;
+            }
+        }
+    }
+
+    /// Grey at the nearest pixel.
+    fn grey(&self, p: Vector2) -> f64 {
+        let u = (p.x.round().max(0.0) as usize).min(self.image.width() - 1);
+        let v = (p.y.round().max(0.0) as usize).min(self.image.height() - 1);
+        let value: f32 = self.image.at(u, v).into();
+        f64::from(value)
+    }
+
+    /// Sign of h: +1 where the square between +x and +y is bright.
+    fn expected_sign(&self, i: usize) -> f64 {
+        if (i % self.columns + i / self.columns).is_multiple_of(2) {
+            self.sign
+        } else {
+            -self.sign
+        }
+    }
+
+    /// First fits on short edges for the corners that the search saw; then the others, and those
+    /// whose first fit went wrong, from what the good ones predict.
+    fn approach(&mut self) {
+        let sigma = 0.4 + 0.5 * self.coarseness;
+        for i in 0..self.sites.len() {
+            if !self.seen[i] {
+                continue;
+            }
+            let sign = self.expected_sign(i);
+            let p = self.sites[i].origin;
+            let [ex, ey] = self.sites[i].steps;
+            let quadrant = |a: f64, b: f64| self.grey(p + ex * a + ey * b);
+            let same = 0.5 * (quadrant(0.25, 0.25) + quadrant(-0.25, -0.25));
+            let other = 0.5 * (quadrant(0.25, -0.25) + quadrant(-0.25, 0.25));
+            let half = 0.5 * (same - other);
+            let image = self.image;
+            let site = &mut self.sites[i];
+            site.place(p, sigma, 0.5 * (same + other), half);
+            let short = 7.0 * self.coarseness.max(1.0);
+            let reach = site.reach.map(|r| (0.45 * r).min(short));
+            site.gather(image, reach, BAND * sigma + 0.5);
+            let converged = half * sign > 0.0 && site.fit(8, 0.03).is_some();
+            let shortest = ex.norm().min(ey.norm());
+            site.sound = converged && (site.position() - p).norm() < 0.2 * shortest;
+        }
+        self.doubt();
+        for i in 0..self.sites.len() {
+            if !self.sites[i].sound {
+                self.rescue(i);
+            }
+        }
+    }
+
+    /// Marks fits whose contrast or blur differ grossly from the others'.
+    fn doubt(&mut self) {
+        let sound = |s: &&Site| s.sound;
+        let contrast = median(
+            &mut self
+                .sites
+                .iter()
+                .filter(sound)
+                .map(Site::contrast)
+                .collect::<Vec<_>>(),
+        );
+        let sigma = median(
+            &mut self
+                .sites
+                .iter()
+                .filter(sound)
+                .map(Site::sigma)
+                .collect::<Vec<_>>(),
+        );
+        for i in 0..self.sites.len() {
+            let sign = self.expected_sign(i);
+            let s = &mut self.sites[i];
+            let c = s.contrast() / contrast;
+            let b = s.sigma() / sigma;
+            s.sound &= s.parameters.free[index::HALF] * sign > 0.0
+                && (0.5..2.0).contains(&c)
+                && (0.5..2.0).contains(&b);
+        }
+    }
+
+    /// Where the sound corners nearby say that corner i is, with the steps there.
+    fn predict(&self, i: usize) -> Option<(Vector2, [Vector2; 2], Vec<usize>)> {
+        let (column, row) = (i % self.columns, i / self.columns);
+        for radius in [2, 3, 5, usize::MAX] {
+            let near: Vec<usize> = (0..self.sites.len())
+                .filter(|&k| {
+                    k != i
+                        && self.sites[k].sound
+                        && (k % self.columns).abs_diff(column) <= radius
+                        && (k / self.columns).abs_diff(row) <= radius
+                })
+                .collect();
+            if near.len() < 8.min(self.sites.len() / 2) {
+                continue;
+            }
+            let from: Vec<Vector2> = near
+                .iter()
+                .map(|&k| Vector2::new((k % self.columns) as f64, (k / self.columns) as f64))
+                .collect();
+            let to: Vec<Vector2> = near.iter().map(|&k| self.sites[k].position()).collect();
+            if let Some(map) = Homography::fit(&from, &to) {
+                let (p, ex, ey) = super::grid::predict(&map, column as f64, row as f64);
+                return Some((p, [ex, ey], near));
+            }
+        }
+        None
+    }
+
+    /// A robust fit from the neighbours' prediction, with all foreign pixels left out.
+    fn rescue(&mut self, i: usize) {
+        let Some((p, steps, near)) = self.predict(i) else {
+            return;
+        };
+        let sign = self.expected_sign(i);
+        let of = |f: &dyn Fn(&Site) -> f64| {
+            median(&mut near.iter().map(|&k| f(&self.sites[k])).collect::<Vec<_>>())
+        };
+        let sigma = of(&Site::sigma);
+        let mean = of(&|s| s.parameters.free[index::MEAN]);
+        let contrast = of(&Site::contrast);
+        let image = self.image;
+        let site = &mut self.sites[i];
+        site.steps = steps;
+        site.place(p, sigma, mean, 0.5 * contrast * sign);
+        let reach = site.clear_reach();
+        site.gather(image, reach, BAND * sigma + 1.0);
+        let mut sound = true;
+        for part in [0.35, 0.2, 0.12] {
+            let noise = Noise::uniform(part * contrast / 4.5);
+            mask_foreign(site, &noise, true);
+            sound &= site.fit(4, 0.01).is_some();
+        }
+        let shortest = steps[0].norm().min(steps[1].norm());
+        let c = site.contrast() / contrast;
+        site.sound = sound
+            && site.masked < 0.7
+            && site.parameters.free[index::HALF] * sign > 0.0
+            && (site.position() - p).norm() < 0.1 * shortest
+            && (0.5..2.0).contains(&c);
+    }
+
+    /// Whether all corners are there, sharp enough.
+    fn check(&self) -> Result<(), NotFound> {
+        let blur = median(
+            &mut self
+                .sites
+                .iter()
+                .filter(|s| s.sound)
+                .map(Site::sigma)
+                .collect::<Vec<_>>(),
+        );
+        let shortest = self
+            .sites
+            .iter()
+            .map(|s| s.steps[0].norm().min(s.steps[1].norm()))
+            .fold(f64::INFINITY, f64::min);
+        let limit = MOST_BLUR * shortest;
+        if blur > limit {
+            return Err(NotFound::TooBlurred {
+                blur_px: point_spread(blur),
+                limit_px: point_spread(limit),
+            });
+        }
+        let unsound: Vec<&Site> = self.sites.iter().filter(|s| !s.sound).collect();
+        match unsound.first() {
+            None => Ok(()),
+            Some(first) => Err(NotFound::Hidden {
+                hidden: unsound.len(),
+                near: first.position(),
+            }),
+        }
+    }
+
+    /// Fits on the whole edges: curvature, noise and foreign pixels settled in between.
+    fn finish(mut self) -> Result<Detection, NotFound> {
+        let positions: Vec<Vector2> = self.sites.iter().map(Site::position).collect();
+        self.measure(&positions);
+        let image = self.image;
+        for site in &mut self.sites {
+            let reach = site.clear_reach();
+            site.gather(image, reach, BAND * site.sigma() + 0.5);
+            let _ = site.fit(2, 0.01);
+        }
+        self.bend();
+        let mut noise = Noise::estimate(&self.sites);
+        for site in &mut self.sites {
+            if mask_foreign(site, &noise, false) {
+                for _ in 0..2 {
+                    let _ = site.fit(3, 0.002);
+                    mask_foreign(site, &noise, false);
+                }
+            }
+        }
+        if self.sites.iter().any(|s| s.masked > 0.0) {
+            noise = Noise::estimate(&self.sites);
+        }
+        let mut quality = Quality::default();
+        let mut corners = Vec::with_capacity(self.sites.len());
+        for site in &mut self.sites {
+            noise.weigh(site);
+            let fitted = site.fit(2, 2e-3);
+            let normal = accumulate(&site.patch, &site.parameters);
+            let used = site.patch.weight.iter().filter(|&&w| w > 0.0).count();
+            let freedom = used.saturating_sub(FREE).max(1) as f64;
+            let misfit = (normal.products[FREE][FREE] / freedom).sqrt();
+            let covariance = fitted.and_then(|()| position_covariance(&normal));
+            let Some(covariance) = covariance.filter(|c| c.iter().all(|x| x.is_finite())) else {
+                return Err(NotFound::Hidden {
+                    hidden: 1,
+                    near: site.position(),
+                });
+            };
+            corners.push(Corner {
+                pixel: site.position(),
+                covariance: covariance * misfit.powi(2).max(1.0)
+                    + Matrix2::identity() * FLOOR.powi(2),
+            });
+            quality.misfit.push(misfit);
+            quality.masked.push(site.masked);
+        }
+        self.describe(&mut quality, &noise);
+        let blur = median(&mut self.sites.iter().map(Site::sigma).collect::<Vec<_>>());
+        Ok(Detection {
+            corners,
+            blur_px: point_spread(blur),
+            columns: self.columns,
+            rows: self.rows,
+            quality,
+        })
+    }
+
+    /// Each line's curvature from three corners in a row, smoothed over the board: lens distortion
+    /// bends lines in proportion to their place, so that a linear function fits.
+    fn bend(&mut self) {
+        let positions: Vec<Vector2> = self.sites.iter().map(Site::position).collect();
+        for (axis, stride, place_of) in [(0, 1, 0), (1, self.columns, 1)] {
+            let count = [self.columns, self.rows][place_of];
+            let mut normal = nalgebra::Matrix3::<f64>::zeros();
+            let mut right = nalgebra::Vector3::<f64>::zeros();
+            for i in 0..self.sites.len() {
+                let place = [i % self.columns, i / self.columns][place_of];
+                if place == 0 || place + 1 >= count {
+                    continue;
+                }
+                let (p, a, b) = (positions[i], positions[i - stride], positions[i + stride]);
+                let (la, lb) = ((p - a).norm(), (b - p).norm());
+                let chord = (a * lb + b * la) / (la + lb);
+                let (s, c) = self.sites[i].parameters.free[index::THETA + axis].sin_cos();
+                let curvature = 2.0 * (chord - p).dot(&Vector2::new(c, s)) / (la * lb);
+                let row = self.place(i);
+                normal += row * row.transpose();
+                right += row * curvature;
+            }
+            let Some(cholesky) = normal.cholesky() else {
+                continue; // too few corners in a row
+            };
+            let coefficients = cholesky.solve(&right);
+            for i in 0..self.sites.len() {
+                self.sites[i].parameters.curvature[axis] = coefficients.dot(&self.place(i));
+            }
+        }
+    }
+
+    fn place(&self, i: usize) -> nalgebra::Vector3<f64> {
+        let centred = |x: usize, n: usize| x as f64 - (n as f64 - 1.0) / 2.0;
+        nalgebra::Vector3::new(
+            1.0,
+            centred(i % self.columns, self.columns),
+            centred(i / self.columns, self.rows),
+        )
+    }
+
+    fn describe(&self, quality: &mut Quality, noise: &Noise) {
+        let sides = self.sites.iter().flat_map(|s| s.steps.map(|e| e.norm()));
+        quality.square_px = sides.fold([f64::INFINITY, 0.0], |[low, high], s| {
+            [low.min(s), high.max(s)]
+        });
+        let level = |sign: f64| {
+            let mut all: Vec<f64> = self
+                .sites
+                .iter()
+                .map(|s| s.parameters.free[index::MEAN] + sign * 0.5 * s.contrast())
+                .collect();
+            median(&mut all)
+        };
+        quality.white = level(1.0);
+        quality.black = level(-1.0);
+        quality.noise = [noise.dark, noise.bright];
+        let mut white = 0usize;
+        let mut saturated = 0usize;
+        let middle = (0.5 * (quality.white + quality.black)) as f32;
+        for site in &self.sites {
+            for &value in &site.patch.value[..site.patch.len] {
+                white += usize::from(value > middle);
+                saturated += usize::from(value >= P::MAX);
+            }
+        }
+        quality.saturated = saturated as f64 / white.max(1) as f64;
+    }
+}
+
+/// The point spread's part of an edge's blur: the pixel's own area has a variance of 1/12.
+fn point_spread(sigma: f64) -> f64 {
+    (sigma * sigma - 1.0 / 12.0).max(0.0).sqrt()
+}
