@@ -268,7 +268,7 @@ impl Config {
             Field::Acceleration,
             self.acceleration_um_s2,
             least(MIN_ACCELERATION),
-            most(u32::MAX),
+            most(MAX_ACCELERATION),
         )?;
         check(
             Field::HomingFast,

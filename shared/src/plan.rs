@@ -117,6 +117,15 @@ impl TriggerPlan {
         (i64::from(self.start_um) + i64::from(index) * i64::from(self.spacing_um)) as f64 / 1000.0
     }
 
+    /// Whether `position` is the nearest step for trigger `index`: |p·1000·D − x·N| ≤ 500·D. Another
+    /// way round than [`Self::position`], to check it by.
+    pub fn holds(&self, index: u32, position: Steps) -> bool {
+        let unit = i128::from(self.steps_per_mm.denominator) * 1000;
+        let um = i128::from(self.start_um) + i128::from(index) * i128::from(self.spacing_um);
+        let error = i128::from(position.0) * unit - um * i128::from(self.steps_per_mm.numerator);
+        index < self.count && 2 * error.abs() <= unit
+    }
+
     /// All steps in order.
     pub fn positions(&self) -> impl Iterator<Item = Steps> + '_ {
         (0..self.count).filter_map(|k| self.nearest(k))
@@ -221,6 +230,7 @@ mod tests {
                 let k = probe.index(count as usize) as u32;
                 for k in [0, k, count - 1] {
                     let p = plan.position(k).unwrap();
+                    prop_assert!(plan.holds(k, p) && !plan.holds(k, Steps(p.0 - 2)) && !plan.holds(count, p));
                     prop_assert!(within_half(p, i64::from(start) + i64::from(k) * i64::from(spacing), r));
                     if k > 0 {
                         prop_assert!(plan.position(k - 1).unwrap() < p);
