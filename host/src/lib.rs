@@ -25,6 +25,7 @@ pub mod image;
 pub mod needle;
 pub mod progress;
 pub mod report;
+pub mod rig;
 pub mod session;
 pub mod simulation;
 pub mod stripe;

@@ -1,0 +1,3 @@
+//! The rig: what moves, lights and looks.
+
+pub mod link;
