@@ -1,7 +1,10 @@
 //! Made-up rigs with known truth, for the tests of the calibration: exact projections plus noise.
 
+use super::LightModel;
+use super::light::BoardStripe;
 use crate::board::{BoardGeometry, Corner};
 use crate::geometry::{Camera, Distortion, Matrix2, Point3, Pose, Vector2, Vector3};
+use crate::stripe::StripePoint;
 use nalgebra::Rotation3;
 
 /// SplitMix64 with normal deviates: repeatable on every machine.
@@ -99,4 +102,84 @@ pub fn corners(camera: &Camera, pose: &Pose, sigma: f64, noise: &mut Noise) -> V
             covariance: Matrix2::identity() * sigma.max(1e-3).powi(2),
         })
         .collect()
+}
+
+/// The light planes of the made-up rig.
+pub fn light() -> LightModel {
+    LightModel {
+        normal: Vector3::new(0.0238, -0.8793, 0.4757).normalize(),
+        a: -0.99993,
+        b: -189.508,
+    }
+}
+
+/// Errors of made-up stripes.
+#[derive(Clone, Copy)]
+pub struct StripeErrors {
+    /// Of each centre, px (and told so).
+    pub centre: f64,
+    /// Of the slide at each visit, mm.
+    pub slide: f64,
+    /// A second error of the centres, correlated over `correlation` px along the stripe, px.
+    pub speckle: f64,
+    pub correlation: f64,
+}
+
+/// Poses at which the board faces the camera and crosses all light planes: about 45° to them.
+pub fn light_poses(camera: &Camera, n: usize, noise: &mut Noise) -> Vec<Pose> {
+    let mut out = Vec::new();
+    while out.len() < n {
+        let pixel = Vector2::new(noise.between(560.0, 720.0), noise.between(380.0, 480.0));
+        // The long side down the image, along the travel of the stripe.
+        let tilt = Vector3::new(noise.between(-0.5, 0.5), noise.between(-0.4, 0.4), 0.0);
+        let turn = Rotation3::new(Vector3::z() * noise.between(1.4, 1.75));
+        let turn = (Rotation3::new(tilt) * turn).scaled_axis();
+        let pose = pose_at(camera, pixel, noise.between(405.0, 460.0), turn);
+        if visible(camera, &pose) {
+            out.push(pose);
+        }
+    }
+    out
+}
+
+/// The stripe of a light plane on the board: points a pixel apart within the board's squares.
+pub fn stripe(
+    camera: &Camera,
+    light: &LightModel,
+    slide_mm: f64,
+    pose: &Pose,
+    errors: &StripeErrors,
+    noise: &mut Noise,
+) -> BoardStripe {
+    let plane = light.plane(slide_mm + errors.slide * noise.normal());
+    // In the board's frame: a line (x, y) with gx·x + gy·y + d = 0.
+    let g = pose.rotation.inverse_transform_vector(&plane.normal);
+    let d = plane.normal.dot(&pose.translation) + plane.d;
+    let foot = Vector2::new(g.x, g.y) * (-d / g.xy().norm_squared());
+    let along = Vector2::new(-g.y, g.x).normalize();
+    let mut points = Vec::new();
+    let mut speckle = errors.speckle * noise.normal();
+    let keep = (-1.0 / errors.correlation.max(1e-9)).exp();
+    for i in -800..800 {
+        let at = foot + along * (0.2 * f64::from(i));
+        let inside = (-9.0..79.0).contains(&at.x) && (-9.0..59.0).contains(&at.y);
+        if !inside {
+            continue;
+        }
+        let pixel = camera.project(&pose.apply(&Point3::new(at.x, at.y, 0.0))).unwrap();
+        if !camera.contains(&pixel) {
+            continue;
+        }
+        speckle = keep * speckle + (1.0 - keep * keep).sqrt() * errors.speckle * noise.normal();
+        let across = Vector2::y();
+        points.push(StripePoint {
+            pixel: pixel + across * (errors.centre * noise.normal() + speckle),
+            across,
+            variance: errors.centre.max(1e-3).powi(2),
+            intensity: 100.0,
+            width_px: 2.0,
+            quality: 1.0,
+        });
+    }
+    BoardStripe { slide_mm, points }
 }

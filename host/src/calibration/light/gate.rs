@@ -1,0 +1,204 @@
+//! The gate of the light planes: positions in the wrong unit, planes that disagree, stripes that
+//! are not where their position puts them, and too little variety of board poses.
+
+use super::check::{Report, Solution};
+use super::strand::Strand;
+use super::Options;
+use crate::board::BoardGeometry;
+use crate::calibration::finding::{Cause, Finding, Severity};
+use crate::calibration::{Covariance, PARAMETERS};
+use crate::geometry::{PARAMETERS as CAMERA, Vector3, tangent_basis};
+use nalgebra::Vector4;
+
+/// |a| is the cosine between travel and plane normal; more is impossible, this much is rounding.
+const LARGEST_A: f64 = 1.02;
+/// Below, the slide would move at more than 26° to the plane's normal.
+const LEAST_A: f64 = 0.9;
+/// Below (14°) it is named.
+const ODD_A: f64 = 0.97;
+/// Standard deviation of the plane in the middle of the calibrated volume: refused, named, mm.
+const PLANE_SIGMA_MM: (f64, f64) = (0.3, 0.1);
+/// Hold-out error: refused, named, mm.
+const HOLD_OUT_MM: (f64, f64) = (1.0, 0.2);
+/// A stripe with fewer of its centres near its plane is not where its position puts it.
+const LEAST_USED: f64 = 0.3;
+
+/// What the gate looks at.
+pub(super) struct Evidence<'a> {
+    pub solution: &'a Solution<'a>,
+    pub covariance: &'a Covariance,
+    pub report: &'a Report,
+    pub strands: &'a [Strand],
+    pub board: &'a BoardGeometry,
+    pub options: Options,
+}
+
+pub(super) fn examine(e: &Evidence) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    travel(e, &mut findings);
+    certainty(e, &mut findings);
+    stripes(e, &mut findings);
+    planes(e, &mut findings);
+    findings
+}
+
+fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
+    if !e.solution.travels {
+        return;
+    }
+    let a = e.solution.rig.light.a.abs();
+    let refuse = a > LARGEST_A || (a < LEAST_A && !e.options.oblique_travel);
+    if refuse {
+        let near = |unit: f64| (a / unit).ln().abs() < 0.3;
+        let guess = if near(1000.0) {
+            "the positions seem to be in metres".to_owned()
+        } else if near(25.4) {
+            "the positions seem to be in inches".to_owned()
+        } else if near(10.0) {
+            "the positions seem to be in centimetres".to_owned()
+        } else if near(1e-3) {
+            "the positions seem to be in micrometres".to_owned()
+        } else {
+            format!(
+                "either the positions (steps per mm) are off by a factor of {a:.4}, or the board's squares are {:.3} mm rather than {:.3} mm",
+                e.board.square_mm / a,
+                e.board.square_mm
+            )
+        };
+        findings.push(Finding {
+            severity: Severity::Refuse,
+            cause: Cause::TravelUnit,
+            view: None,
+            what: format!("the light plane moves by {a:.4} mm for each mm of the slide: {guess}"),
+            advice: "give the positions in mm and the square's true size (or declare the slide oblique to the light plane)".into(),
+        });
+    } else if a < ODD_A {
+        findings.push(Finding {
+            severity: Severity::Warn,
+            cause: Cause::ObliqueTravel,
+            view: None,
+            what: format!(
+                "the light plane moves by {a:.4} mm for each mm of the slide, as if it moved at {:.0}° to the plane's normal",
+                a.min(1.0).acos().to_degrees()
+            ),
+            advice: "check the positions' unit and the square's size if the rig is not built so".into(),
+        });
+    }
+}
+
+/// Standard deviation of the plane's distance in the middle of the measured volume, mm.
+fn plane_sigma(e: &Evidence) -> f64 {
+    let light = &e.solution.rig.light;
+    let centre: Vector3 = e
+        .solution
+        .poses
+        .iter()
+        .map(|p| {
+            let half = (e.board.point(0).coords + e.board.point(e.board.corners() - 1).coords) / 2.0;
+            p.rotation * half + p.translation
+        })
+        .sum::<Vector3>()
+        / e.solution.poses.len() as f64;
+    let x = e.solution.positions.iter().sum::<f64>() / e.solution.positions.len() as f64;
+    let t = tangent_basis(&light.normal).transpose() * centre;
+    let j = Vector4::new(t.x, t.y, x, 1.0);
+    let c = e.covariance.fixed_view::<4, 4>(CAMERA, CAMERA);
+    (j.transpose() * c * j)[0].sqrt()
+}
+
+fn certainty(e: &Evidence, findings: &mut Vec<Finding>) {
+    debug_assert_eq!(CAMERA + 4, PARAMETERS);
+    let sigma = plane_sigma(e);
+    let (refuse, warn) = PLANE_SIGMA_MM;
+    if !(sigma < warn) {
+        findings.push(Finding {
+            severity: if sigma < refuse { Severity::Warn } else { Severity::Refuse },
+            cause: Cause::LightGeometry,
+            view: None,
+            what: format!("the light planes are known to ± {sigma:.2} mm only"),
+            advice: "add board poses: nearer and farther, tilted to different sides".into(),
+        });
+    }
+    if e.solution.poses.len() < 4 {
+        findings.push(Finding {
+            severity: Severity::Warn,
+            cause: Cause::TooFewPoints,
+            view: None,
+            what: format!("{} board poses show the stripe", e.solution.poses.len()),
+            advice: "take six or more, so that one bad pose is noticed".into(),
+        });
+    }
+}
+
+fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
+    let mut bad = 0;
+    for (k, strand) in e.strands.iter().enumerate() {
+        let used = e.report.strand_used[k];
+        if used < LEAST_USED {
+            bad += 1;
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::BadStripe,
+                view: Some(strand.view),
+                what: format!(
+                    "the stripe at {} mm lies {:.2} mm from its light plane ({:.0} % of it used)",
+                    strand.slide_mm,
+                    e.report.strand_mm[k],
+                    100.0 * used
+                ),
+                advice: "check that the image belongs to this position and that the board stood still".into(),
+            });
+        }
+    }
+    if 4 * bad > e.strands.len() {
+        findings.push(Finding {
+            severity: Severity::Refuse,
+            cause: Cause::BadStripe,
+            view: None,
+            what: format!("{bad} of {} stripes do not lie on their light planes", e.strands.len()),
+            advice: "check the order of images and positions, and that nothing moved".into(),
+        });
+    }
+}
+
+fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
+    for (plane, &chi2) in e.report.planes.iter().zip(&e.report.disagreement) {
+        if plane.points == 0 {
+            findings.push(Finding {
+                severity: Severity::Refuse,
+                cause: Cause::PlaneDisagrees,
+                view: None,
+                what: format!(
+                    "no stripe at {} mm lies where the other positions put its plane",
+                    plane.slide_mm
+                ),
+                advice: "check this position: it may be wrong by a whole step, or its images belong elsewhere".into(),
+            });
+            continue;
+        }
+        let angle = plane.plane.normal.angle(&e.solution.rig.light.normal).to_degrees();
+        if chi2 > 50.0 && angle > 0.2 {
+            findings.push(Finding {
+                severity: Severity::Warn,
+                cause: Cause::PlaneDisagrees,
+                view: None,
+                what: format!(
+                    "the plane at {} mm is turned by {angle:.2}° against the common normal",
+                    plane.slide_mm
+                ),
+                advice: "check that the slide runs straight and the projector is fixed".into(),
+            });
+        }
+    }
+    let worst = e.report.hold_out_mm.iter().copied().fold(0.0, f64::max);
+    let (refuse, warn) = HOLD_OUT_MM;
+    if worst > warn {
+        findings.push(Finding {
+            severity: if worst > refuse { Severity::Refuse } else { Severity::Warn },
+            cause: Cause::HoldOut,
+            view: None,
+            what: format!("a position predicted from the others misses its plane by {worst:.2} mm"),
+            advice: "check the positions for a wrong entry, and the slide for slip".into(),
+        });
+    }
+}
