@@ -166,7 +166,9 @@ pub fn stripe(
         if !inside {
             continue;
         }
-        let pixel = camera.project(&pose.apply(&Point3::new(at.x, at.y, 0.0))).unwrap();
+        let pixel = camera
+            .project(&pose.apply(&Point3::new(at.x, at.y, 0.0)))
+            .unwrap();
         if !camera.contains(&pixel) {
             continue;
         }

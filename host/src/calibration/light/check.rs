@@ -58,7 +58,13 @@ pub(super) fn check(
     let mut blocks = Vec::with_capacity(strands.len());
     for strand in strands.iter() {
         let mut block = Block::zero();
-        if !add_strand(strand, rig, &solution.poses[strand.view], solution.noise, &mut block) {
+        if !add_strand(
+            strand,
+            rig,
+            &solution.poses[strand.view],
+            solution.noise,
+            &mut block,
+        ) {
             return Err(LightError::NoSolution);
         }
         blocks.push(block);
@@ -70,7 +76,11 @@ pub(super) fn check(
     for (i, &x) in solution.positions.iter().enumerate() {
         let (mut h, mut g) = ([[0.0; 3]; 3], [0.0; 3]);
         let index = [CAMERA, CAMERA + 1, B];
-        for (block, _) in blocks.iter().zip(strands.iter()).filter(|(_, s)| s.position == i) {
+        for (block, _) in blocks
+            .iter()
+            .zip(strands.iter())
+            .filter(|(_, s)| s.position == i)
+        {
             for (r, &p) in index.iter().enumerate() {
                 for (c, &q) in index.iter().enumerate() {
                     h[r][c] += block.gg[p][q];
@@ -80,7 +90,14 @@ pub(super) fn check(
         }
         let d = rig.light.a * x + rig.light.b;
         // With the common normal (Table 4), and with a normal of its own.
-        fitted.push((x, if h[2][2] > 0.0 { d - g[2] / h[2][2] } else { f64::NAN }));
+        fitted.push((
+            x,
+            if h[2][2] > 0.0 {
+                d - g[2] / h[2][2]
+            } else {
+                f64::NAN
+            },
+        ));
         let own = Cholesky::new(&h).map(|f| f.solve(&g).map(|s| -s));
         let step = own.unwrap_or([0.0, 0.0, fitted[i].1 - d]);
         let model = rig.light.updated(&[step[0], step[1], 0.0, step[2]]);
@@ -125,12 +142,19 @@ pub(super) fn check(
     }
     // The same centres under the closed-form start.
     for strand in strands.iter_mut() {
-        let drawn = Drawn::new(&begun.camera, &begun.light, strand.slide_mm, &begun_poses[strand.view]);
+        let drawn = Drawn::new(
+            &begun.camera,
+            &begun.light,
+            strand.slide_mm,
+            &begun_poses[strand.view],
+        );
         if !drawn.is_some_and(|drawn| strand.measure(&drawn)) {
             continue;
         }
         let mut before = Measures::default();
-        for_each_mm(strand, solution, &mut |r, j| gather(&mut before, r, r / j[B]));
+        for_each_mm(strand, solution, &mut |r, j| {
+            gather(&mut before, r, r / j[B])
+        });
         add(&mut views[strand.view].0, &before);
         add(&mut positions[strand.position].0, &before);
     }
@@ -155,11 +179,7 @@ pub(super) fn check(
 }
 
 /// Calls f(residual in px, derivatives by the globals) for each centre in use.
-fn for_each_mm(
-    strand: &Strand,
-    solution: &Solution,
-    f: &mut impl FnMut(f64, &[f64; PARAMETERS]),
-) {
+fn for_each_mm(strand: &Strand, solution: &Solution, f: &mut impl FnMut(f64, &[f64; PARAMETERS])) {
     let derivatives = derivatives(strand, solution);
     strand.each(|k, r| {
         if let Some(j) = &derivatives[k] {
@@ -170,7 +190,12 @@ fn for_each_mm(
 
 fn derivatives(strand: &Strand, solution: &Solution) -> Vec<Option<[f64; PARAMETERS]>> {
     let rig = solution.rig;
-    let drawn = Drawn::new(&rig.camera, &rig.light, strand.slide_mm, &solution.poses[strand.view]);
+    let drawn = Drawn::new(
+        &rig.camera,
+        &rig.light,
+        strand.slide_mm,
+        &solution.poses[strand.view],
+    );
     strand
         .pieces
         .iter()
@@ -185,8 +210,12 @@ fn derivatives(strand: &Strand, solution: &Solution) -> Vec<Option<[f64; PARAMET
 /// Mean signed distance of all centres, whatever their weight, mm.
 fn all_mm(strand: &Strand, solution: &Solution) -> f64 {
     let rig = solution.rig;
-    let Some(drawn) = Drawn::new(&rig.camera, &rig.light, strand.slide_mm, &solution.poses[strand.view])
-    else {
+    let Some(drawn) = Drawn::new(
+        &rig.camera,
+        &rig.light,
+        strand.slide_mm,
+        &solution.poses[strand.view],
+    ) else {
         return f64::NAN;
     };
     let distances: Vec<f64> = strand

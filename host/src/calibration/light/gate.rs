@@ -1,9 +1,9 @@
 //! The gate of the light planes: positions in the wrong unit, planes that disagree, stripes that
 //! are not where their position puts them, and too little variety of board poses.
 
+use super::Options;
 use super::check::{Report, Solution};
 use super::strand::Strand;
-use super::Options;
 use crate::board::BoardGeometry;
 use crate::calibration::finding::{Cause, Finding, Severity};
 use crate::calibration::{Covariance, PARAMETERS};
@@ -94,7 +94,8 @@ fn plane_sigma(e: &Evidence) -> f64 {
         .poses
         .iter()
         .map(|p| {
-            let half = (e.board.point(0).coords + e.board.point(e.board.corners() - 1).coords) / 2.0;
+            let half =
+                (e.board.point(0).coords + e.board.point(e.board.corners() - 1).coords) / 2.0;
             p.rotation * half + p.translation
         })
         .sum::<Vector3>()
@@ -112,7 +113,11 @@ fn certainty(e: &Evidence, findings: &mut Vec<Finding>) {
     let (refuse, warn) = PLANE_SIGMA_MM;
     if !(sigma < warn) {
         findings.push(Finding {
-            severity: if sigma < refuse { Severity::Warn } else { Severity::Refuse },
+            severity: if sigma < refuse {
+                Severity::Warn
+            } else {
+                Severity::Refuse
+            },
             cause: Cause::LightGeometry,
             view: None,
             what: format!("the light planes are known to ± {sigma:.2} mm only"),
@@ -146,7 +151,9 @@ fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
                     e.report.strand_mm[k],
                     100.0 * used
                 ),
-                advice: "check that the image belongs to this position and that the board stood still".into(),
+                advice:
+                    "check that the image belongs to this position and that the board stood still"
+                        .into(),
             });
         }
     }
@@ -155,7 +162,10 @@ fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
             severity: Severity::Refuse,
             cause: Cause::BadStripe,
             view: None,
-            what: format!("{bad} of {} stripes do not lie on their light planes", e.strands.len()),
+            what: format!(
+                "{bad} of {} stripes do not lie on their light planes",
+                e.strands.len()
+            ),
             advice: "check the order of images and positions, and that nothing moved".into(),
         });
     }
@@ -176,7 +186,11 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
             });
             continue;
         }
-        let angle = plane.plane.normal.angle(&e.solution.rig.light.normal).to_degrees();
+        let angle = plane
+            .plane
+            .normal
+            .angle(&e.solution.rig.light.normal)
+            .to_degrees();
         if chi2 > 50.0 && angle > 0.2 {
             findings.push(Finding {
                 severity: Severity::Warn,
@@ -194,7 +208,11 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
     let (refuse, warn) = HOLD_OUT_MM;
     if worst > warn {
         findings.push(Finding {
-            severity: if worst > refuse { Severity::Refuse } else { Severity::Warn },
+            severity: if worst > refuse {
+                Severity::Refuse
+            } else {
+                Severity::Warn
+            },
             cause: Cause::HoldOut,
             view: None,
             what: format!("a position predicted from the others misses its plane by {worst:.2} mm"),

@@ -134,7 +134,13 @@ impl Problem<PARAMETERS> for JointProblem<'_> {
         self.camera_views.len() + self.light_views.len()
     }
 
-    fn linearise(&self, view: usize, rig: &Rig, pose: &Pose, block: &mut Block<PARAMETERS>) -> bool {
+    fn linearise(
+        &self,
+        view: usize,
+        rig: &Rig,
+        pose: &Pose,
+        block: &mut Block<PARAMETERS>,
+    ) -> bool {
         let own = self.camera_views.len();
         if view < own {
             return self.camera_views[view].linearise(&rig.camera, pose, self.corner_scale, block);
@@ -272,7 +278,11 @@ pub fn calibrate(
     );
     let mut rig = begun.0.clone();
     let mut corner_scale = camera.variance_factor.sqrt().max(1e-6);
-    let corner_count: usize = camera_corners.iter().chain(&light_corners).map(|c| c.len()).sum();
+    let corner_count: usize = camera_corners
+        .iter()
+        .chain(&light_corners)
+        .map(|c| c.len())
+        .sum();
     let mut noise = StripeNoise {
         centre: 1.0,
         piece: 0.0,
@@ -284,10 +294,11 @@ pub fn calibrate(
         noise.centre = refresh(&mut strands, &rig, &poses[own..])?;
         if round > 0 {
             components(&strands, &rig, &poses[own..], &mut noise);
-            corner_scale = corner_residuals(&camera_corners, &light_corners, &rig, &poses, corner_scale)
-                .variance(PARAMETERS + POSE * poses.len())
-                .sqrt()
-                .max(1e-6);
+            corner_scale =
+                corner_residuals(&camera_corners, &light_corners, &rig, &poses, corner_scale)
+                    .variance(PARAMETERS + POSE * poses.len())
+                    .sqrt()
+                    .max(1e-6);
         }
         let problem = JointProblem {
             camera_views: &camera_corners,
@@ -412,7 +423,12 @@ fn refresh(strands: &mut [Strand], rig: &Rig, poses: &[Pose]) -> Result<f64, Lig
     let step = total / 8192 + 1;
     let mut whitened = Vec::with_capacity(total / step + strands.len());
     for strand in strands.iter_mut() {
-        let drawn = Drawn::new(&rig.camera, &rig.light, strand.slide_mm, &poses[strand.view]);
+        let drawn = Drawn::new(
+            &rig.camera,
+            &rig.light,
+            strand.slide_mm,
+            &poses[strand.view],
+        );
         if !drawn.is_some_and(|drawn| strand.measure(&drawn)) {
             return Err(LightError::NoSolution);
         }
@@ -425,9 +441,12 @@ fn refresh(strands: &mut [Strand], rig: &Rig, poses: &[Pose]) -> Result<f64, Lig
     let (_, median, _) = whitened.select_nth_unstable_by(middle, f64::total_cmp);
     let variance = (*median / MEDIAN_CHI2).max(1e-10);
     for strand in strands.iter_mut() {
-        if let Some(drawn) =
-            Drawn::new(&rig.camera, &rig.light, strand.slide_mm, &poses[strand.view])
-        {
+        if let Some(drawn) = Drawn::new(
+            &rig.camera,
+            &rig.light,
+            strand.slide_mm,
+            &poses[strand.view],
+        ) {
             strand.sum_up(&drawn, variance.sqrt());
         }
     }
@@ -440,9 +459,12 @@ fn components(strands: &[Strand], rig: &Rig, poses: &[Pose], noise: &mut StripeN
     let mut per_strand: Vec<Vec<(f64, f64)>> = Vec::with_capacity(strands.len());
     for strand in strands {
         let mut pieces = Vec::new();
-        if let Some(drawn) =
-            Drawn::new(&rig.camera, &rig.light, strand.slide_mm, &poses[strand.view])
-        {
+        if let Some(drawn) = Drawn::new(
+            &rig.camera,
+            &rig.light,
+            strand.slide_mm,
+            &poses[strand.view],
+        ) {
             for piece in strand.pieces.iter().filter(|p| p.information > 0.0) {
                 if let Some(local) = drawn.near(&piece.pixel) {
                     let r = local.normal.dot(&(piece.pixel - local.pixel));
@@ -464,7 +486,11 @@ fn components(strands: &[Strand], rig: &Rig, poses: &[Pose], noise: &mut StripeN
         excess += q - (pieces.len() - 1) as f64;
         lever += sum - pieces.iter().map(|p| w(p).powi(2)).sum::<f64>() / sum;
     }
-    noise.piece = if lever > 0.0 { (excess / lever).max(0.0) } else { 0.0 };
+    noise.piece = if lever > 0.0 {
+        (excess / lever).max(0.0)
+    } else {
+        0.0
+    };
 
     let means: Vec<(f64, f64)> = per_strand
         .iter()
@@ -478,7 +504,10 @@ fn components(strands: &[Strand], rig: &Rig, poses: &[Pose], noise: &mut StripeN
     let mut sizes: Vec<f64> = means.iter().map(|m| m.1.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let limit = 4.0 * 1.4826 * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-    let q: f64 = means.iter().map(|(w, m)| w * m.abs().min(limit).powi(2)).sum();
+    let q: f64 = means
+        .iter()
+        .map(|(w, m)| w * m.abs().min(limit).powi(2))
+        .sum();
     let sum: f64 = means.iter().map(|m| m.0).sum();
     // Normal, a and b take four degrees of freedom from the stripes.
     let freedom = means.len() as f64 - 4.0;

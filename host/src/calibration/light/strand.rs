@@ -10,7 +10,9 @@
 use super::BoardStripe;
 use crate::calibration::LightModel;
 use crate::calibration::solve::POSE;
-use crate::geometry::{Camera, PARAMETERS as CAMERA, Point3, Pose, Vector2, Vector3, tangent_basis};
+use crate::geometry::{
+    Camera, PARAMETERS as CAMERA, Point3, Pose, Vector2, Vector3, tangent_basis,
+};
 use nalgebra::Matrix3x2;
 
 /// Length of a piece along the stripe, px.
@@ -176,8 +178,7 @@ impl<'a> Drawn<'a> {
         globals[CAMERA + 1] = turned.y;
         globals[CAMERA + 2] = -mq * self.slide_mm * scale;
         globals[CAMERA + 3] = -mq * scale;
-        let omega =
-            (self.board_moment * -nq - self.board_normal.cross(&q) * self.light_d) * scale;
+        let omega = (self.board_moment * -nq - self.board_normal.cross(&q) * self.light_d) * scale;
         let tau = self.board_normal * (-nq * scale);
         Some(Derivatives {
             globals,
@@ -312,8 +313,7 @@ impl Strand {
             {
                 let (r, t) = (sum_r / sum, sum_t / sum);
                 let bend = 0.5 * drawn.curvature(&local);
-                piece.pixel =
-                    local.pixel + local.tangent * t + local.normal * (r + bend * t * t);
+                piece.pixel = local.pixel + local.tangent * t + local.normal * (r + bend * t * t);
             }
         }
     }
