@@ -22,7 +22,9 @@ function quad(corners, colour, opacity) {
   g.setIndex([0, 1, 2, 0, 2, 3]);
   const group = new Group();
   group.add(new Mesh(g, new MeshBasicMaterial({ color: colour, transparent: true, opacity, side: DoubleSide, depthWrite: false })));
-  group.add(new LineLoop(g, new LineBasicMaterial({ color: colour })));
+  const outline = new BufferGeometry(); // without the triangles' index
+  outline.setAttribute('position', g.getAttribute('position'));
+  group.add(new LineLoop(outline, new LineBasicMaterial({ color: colour })));
   return group;
 }
 
@@ -57,7 +59,7 @@ function start(host, data) {
   }
   const colours = { height: new BufferAttribute(height, 3, true), brightness: new BufferAttribute(grey, 3, true) };
   geometry.setAttribute('color', colours.height);
-  const cloud = new Points(geometry, new PointsMaterial({ size: data.point_size, vertexColors: true, sizeAttenuation: true }));
+  const cloud = new Points(geometry, new PointsMaterial({ size: 1.6 * data.point_size, vertexColors: true, sizeAttenuation: true }));
   const layers = { cloud };
   if (data.plane) layers.plane = quad(data.plane, 0x0072b2, 0.25);
   if (data.section) layers.section = quad(data.section, 0xcc79a7, 0.2);

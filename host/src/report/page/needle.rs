@@ -1,7 +1,7 @@
 //! The top of the page: angle, verdict, entry and axis, the picture; and the stripes.
 
 use super::table::table;
-use super::{chart, number, vector};
+use super::{chart, number};
 use crate::report::chart as charts;
 use crate::report::model::{Needle, Picture, Report, StripeSample, Verdict};
 use crate::report::raster;
@@ -46,26 +46,18 @@ fn verdict(v: &Verdict) -> Markup {
 }
 
 fn details(n: &Needle) -> Markup {
-    let head: Vec<String> = std::iter::once(String::new())
-        .chain(n.frames.iter().map(|f| format!("{} frame", f.name)))
-        .collect();
-    let head: Vec<&str> = head.iter().map(String::as_str).collect();
-    let row = |name: &str, of: fn(&crate::report::model::Frame) -> String| {
-        std::iter::once(name.to_string())
-            .chain(n.frames.iter().map(of))
-            .collect::<Vec<String>>()
-    };
-    let rows = [
-        row("entry / mm", |f| vector(&f.entry_mm, 3)),
-        row("needle axis", |f| vector(&f.axis, 5)),
-        row("plane's normal", |f| vector(&f.normal, 5)),
-        row("vein's direction", |f| vector(&f.vein, 5)),
-    ];
     html! {
-        div.scroll { table {
-            thead { tr { @for h in &head { th { (h) } } } }
-            tbody { @for r in &rows { tr { @for c in r { td { (c) } } } } }
-        } }
+        @for f in &n.frames {
+            div.scroll { table {
+                thead { tr { th { (f.name) " frame" } th { "X" } th { "Y" } th { "Z" } } }
+                tbody {
+                    (row("entry / mm", &f.entry_mm, 3))
+                    (row("needle axis", &f.axis, 5))
+                    (row("plane's normal", &f.normal, 5))
+                    (row("vein's direction", &f.vein, 5))
+                }
+            } }
+        }
         p.soft {
             @if let Some(s) = &n.entry_sigma_mm {
                 "Entry: σ " (number(s[0], 3)) ", " (number(s[1], 3)) ", " (number(s[2], 3)) " mm along X, Y, Z. "
@@ -75,6 +67,10 @@ fn details(n: &Needle) -> Markup {
             " mm of the entry, RMS distance " (number(n.region_rms_mm, 3)) " mm."
         }
     }
+}
+
+fn row(name: &str, v: &[f64; 3], decimals: usize) -> Markup {
+    html! { tr { td { (name) } @for x in v { td { (number(*x, decimals)) } } } }
 }
 
 /// SVG polyline coordinates.
