@@ -15,6 +15,10 @@ use crate::geometry::{Matrix3, Plane, Point3, Vector3};
 
 /// Tendons come first among the ridges, then the veins.
 pub const TENDONS: usize = 4;
+/// No hand reaches higher (h).
+const TOP_MM: f64 = 6.0;
+/// No hand reaches lower.
+const BOTTOM_MM: f64 = -22.0;
 
 /// The hand's shape; the keys of `hand` in truth.json.
 #[derive(Clone, Debug, PartialEq)]
@@ -216,33 +220,59 @@ impl Hand {
         Height { h, by_p, by_q }
     }
 
-    /// Where the ray t·(x, y, 1) first meets the hand: its (p, q, h), its distance z and the
-    /// slopes there. `guess` is a z to start from. The hand has no overhangs as seen from above, so
-    /// Newton's method finds the only solution.
+    /// Where the ray z·(x, y, 1) meets the hand: its (p, q, h), its z and the slopes there. `guess`
+    /// is a z to start from. Seen from the camera the hand has no overhangs, so the gap between ray
+    /// and surface falls all along the ray over the hand, and there is one solution.
     pub fn meet(&self, ray: &Vector3, guess: f64) -> Option<(f64, Vector3, Height)> {
         let start = self.axes * (-self.origin.coords);
         let along = self.axes * ray;
+        if !(along.z < -0.1) {
+            return None;
+        }
+        let at = |z: f64| start + along * z;
+        let level = |h: f64| (h - start.z) / along.z;
+        let (above, below) = (level(TOP_MM), level(BOTTOM_MM));
+        let (a, b) = (at(above), at(below));
+        let beside = |a: f64, b: f64, half: f64| a.min(b) > half || a.max(b) < -half;
+        if beside(a.x, b.x, self.half_p) || beside(a.y, b.y, self.half_q) {
+            return None;
+        }
+        let found = |z: f64| {
+            let l = at(z);
+            self.covers(l.x, l.y).then(|| (z, l, self.height(l.x, l.y)))
+        };
+        // Newton from the guess, which is nearly always right.
         let mut z = guess;
-        for _ in 0..30 {
-            let l = start + along * z;
-            if l.x.abs() > 2.0 * self.half_p || l.y.abs() > 2.0 * self.half_q {
-                return None;
+        for _ in 0..8 {
+            let l = at(z);
+            if !self.covers(l.x, l.y) {
+                break;
             }
             let s = self.height(l.x, l.y);
-            let gap = l.z - s.h;
-            let slope = along.z - s.by_p * along.x - s.by_q * along.y;
-            if !(slope < -1e-3) {
-                return None;
-            }
-            // Steps of more than 10 mm are never right on a hand 20 mm high.
-            let step = (gap / slope).clamp(-10.0, 10.0);
+            let step = (l.z - s.h) / (along.z - s.by_p * along.x - s.by_q * along.y);
             z -= step;
             if step.abs() < 1e-9 {
-                let l = start + along * z;
-                return self.covers(l.x, l.y).then_some((z, l, s));
+                return found(z);
             }
         }
-        None
+        // Else between a place above and one below the surface.
+        let gap = |z: f64| {
+            let l = at(z);
+            l.z - self.height(l.x, l.y).h
+        };
+        let mut high = above;
+        let mut low = (0..=16)
+            .map(|i| below + (above - below) * f64::from(i) / 16.0)
+            .find(|&z| gap(z) < 0.0)?;
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if gap(middle) < 0.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        found(0.5 * (low + high))
     }
 
     /// Whether a point on the table lies in the hand's shadow for light that travels along `light`.

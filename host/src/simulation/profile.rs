@@ -94,7 +94,7 @@ impl Profile {
             shot_dn: 0.021,
             ambient_dn: 100.0,
             board_exposure: 2.0,
-            laser_dn: 230.0,
+            laser_dn: 280.0,
             speckle_contrast: 0.45,
             speckle_grain_px: 1.0,
             glow_share: 0.12,

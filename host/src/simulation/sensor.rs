@@ -39,7 +39,7 @@ mod tests {
     #[test]
     fn noise_has_the_variance_asked_for() {
         let parameters = Profile::Nominal.parameters();
-        for level in [0.0f32, 40.0, 180.0] {
+        for level in [20.0f32, 60.0, 180.0] {
             let light = Light {
                 width: 200,
                 height: 200,

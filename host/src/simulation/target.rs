@@ -116,7 +116,7 @@ fn wave(t: f64, soft: f64, corners: usize) -> (f64, f64) {
     let sign = before * (1.0 - 2.0 * normal_cdf(offset));
     // The outermost edges are not edges of the wave.
     let sign = if nearest < 0.0 || nearest >= last {
-        if nearest < 0.0 { 1.0 } else { -before }
+        if nearest < 0.0 { 1.0 } else { before }
     } else {
         sign
     };
@@ -185,7 +185,7 @@ mod tests {
             (0.0, 5.0),
             (70.0, 35.0),
             (25.0, 50.0),
-            (80.0, 5.0),
+            (80.0, 15.0),
             (35.0, 60.0),
             (-10.0, -5.0),
         ] {
