@@ -313,10 +313,13 @@ mod tests {
     #[test]
     fn stripes_of_a_given_recording_come_out_alike() {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let Some(text) = ["tests/data/tiny-1001", "../shared/sessions/nominal-1001", "../shared/sessions/tiny-1001"]
-            .iter()
-            .find_map(|s| std::fs::read(root.join(s).join("truth.json")).ok())
-        else {
+        let Some(text) = [
+            "tests/data/tiny-1001",
+            "../shared/sessions/nominal-1001",
+            "../shared/sessions/tiny-1001",
+        ]
+        .iter()
+        .find_map(|s| std::fs::read(root.join(s).join("truth.json")).ok()) else {
             println!("skipped");
             return;
         };
@@ -327,7 +330,11 @@ mod tests {
         let (c, d) = (&t["camera"], &t["camera"]["distortion"]);
         let mut scene = Scene::new(Profile::Tiny, 1);
         scene.camera = scene.camera.with_parameters(
-            &[&c["fx"], &c["fy"], &c["u0"], &c["v0"], &d["k1"], &d["k2"], &d["p1"], &d["p2"], &d["k3"]].map(get),
+            &[
+                &c["fx"], &c["fy"], &c["u0"], &c["v0"], &d["k1"], &d["k2"], &d["p1"], &d["p2"],
+                &d["k3"],
+            ]
+            .map(get),
         );
         scene.camera.width = get(&c["width"]) as u32;
         scene.camera.height = get(&c["height"]) as u32;
@@ -341,14 +348,29 @@ mod tests {
         hand.radius_q = get(&h["radius_q"]);
         hand.rolloff = get(&h["rolloff"]);
         let rows = |v: &Value| v.as_array().unwrap().iter().map(list).collect::<Vec<_>>();
-        hand.knuckles = rows(&h["knuckles"]).iter().map(|k| [k[0], k[1], k[2], k[3]]).collect();
-        hand.ridges = rows(&h["ridges"]).iter().map(|r| [r[0], r[1], r[2], r[3], r[4], r[5]]).collect();
-        hand.relief = rows(&h["relief"]).iter().map(|k| [k[0], k[1], k[2], k[3]]).collect();
+        hand.knuckles = rows(&h["knuckles"])
+            .iter()
+            .map(|k| [k[0], k[1], k[2], k[3]])
+            .collect();
+        hand.ridges = rows(&h["ridges"])
+            .iter()
+            .map(|r| [r[0], r[1], r[2], r[3], r[4], r[5]])
+            .collect();
+        hand.relief = rows(&h["relief"])
+            .iter()
+            .map(|k| [k[0], k[1], k[2], k[3]])
+            .collect();
         let normal = v3(&t["light"]["normal"]);
         let renderer = Renderer::new(scene).unwrap();
         let (mut compared, mut missing) = (0, 0);
         for frame in t["scan"].as_array().unwrap().iter().step_by(5) {
-            let ours = scan_stripe(&renderer, &Plane { normal, d: get(&frame["D_actual"]) });
+            let ours = scan_stripe(
+                &renderer,
+                &Plane {
+                    normal,
+                    d: get(&frame["D_actual"]),
+                },
+            );
             for (ours, theirs) in ours.iter().zip(frame["v"].as_array().unwrap()) {
                 match (ours, theirs.as_f64()) {
                     (Some(a), Some(b)) => {
@@ -360,11 +382,18 @@ mod tests {
                 }
             }
         }
-        assert!(compared > 300 && missing < compared / 20, "{compared} {missing}");
+        assert!(
+            compared > 300 && missing < compared / 20,
+            "{compared} {missing}"
+        );
         // The entry point and the plane about it.
         let point = Point3::from(v3(&t["entry"]["point_mm"]));
         let (plane, rms) = region_plane(renderer.scene(), &point).unwrap();
-        let angle = plane.normal.cross(&v3(&t["plane"]["normal"])).norm().to_degrees();
+        let angle = plane
+            .normal
+            .cross(&v3(&t["plane"]["normal"]))
+            .norm()
+            .to_degrees();
         assert!(angle < 0.01, "{angle}°");
         assert!((rms - get(&t["plane"]["rms_mm"])).abs() < 0.003, "{rms}");
     }
@@ -377,7 +406,11 @@ mod tests {
         let plane = scene.laser.plane(24.0);
         let stripe = scan_stripe(&renderer, &plane);
         assert!(stripe.iter().flatten().count() > 60);
-        for (u, v) in stripe.iter().enumerate().filter_map(|(u, v)| v.map(|v| (u, v))) {
+        for (u, v) in stripe
+            .iter()
+            .enumerate()
+            .filter_map(|(u, v)| v.map(|v| (u, v)))
+        {
             let ray = scene.camera.ray(&Vector2::new(u as f64, v)).unwrap();
             let p = plane.meet(&ray).unwrap();
             let l = scene.hand.local(&p);
