@@ -2,26 +2,31 @@
 
 use super::link::Chain;
 use super::profile::{self, Fit, Noise, Start};
+use super::search::Region;
 use crate::image::{Image, Pixel};
 
 /// Every how many columns the width is fitted.
-const STRIDE: usize = 3;
+pub(super) const STRIDE: usize = 3;
 
-/// Noise of the pixels of `on` − `off` (or of `on` alone).
-pub(super) fn noise<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>) -> Noise {
+/// Noise of the pixels of `on` − `off` (or of `on` alone) in a part of the image.
+pub(super) fn noise_in<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, region: &Region) -> Noise {
     // Mean |difference of neighbours two rows apart| on a sparse grid, the largest tenth left out
     // (edges, the stripe): 0.80 of the standard deviation of a normal difference's |x| … the
     // truncation at the 90 % point leaves a mean of 0.637 σ.
-    let (width, height) = (on.width(), on.height());
+    let width = on.width();
     let value = |at: usize| -> f32 {
         let x: f32 = on.pixels()[at].into();
         x - off.map_or(0.0, |off| off.pixels()[at].into())
     };
-    let step = (width * height / 4096).max(1) | 1;
-    let mut steps: Vec<f32> = (0..(width * height).saturating_sub(2 * width + 1))
-        .step_by(step)
-        .map(|at| (value(at) - value(at + 2 * width)).abs())
-        .collect();
+    let area = (region.u1 - region.u0) * (region.v1 - region.v0);
+    let step = ((area as f32 / 4096.0).sqrt() as usize).max(1);
+    let mut steps = Vec::with_capacity(area / (step * step) + 64);
+    for v in (region.v0..region.v1.saturating_sub(2)).step_by(step) {
+        for u in (region.u0..region.u1).step_by(step) {
+            let at = v * width + u;
+            steps.push((value(at) - value(at + 2 * width)).abs());
+        }
+    }
     let n = steps.len() * 9 / 10;
     let unit = P::MAX / 255.0;
     let sigma = if n > 0 {
@@ -46,17 +51,20 @@ pub(super) fn fit<P: Pixel>(
     chain: &Chain,
     noise: &Noise,
 ) -> Vec<Fit> {
-    let rough = rough_width(on, off, chain);
-    let half = (3.2 * rough + 2.0).ceil() as usize;
-    let starts: Vec<Start> = chain
+    let mut starts: Vec<Start> = chain
         .points
         .iter()
         .map(|p| Start {
             u: p.u,
             centre: f32::from(p.v),
-            width: rough,
+            width: 0.0,
         })
         .collect();
+    let rough = rough_width(on, off, &starts);
+    for s in &mut starts {
+        s.width = rough;
+    }
+    let half = (3.2 * rough + 2.0).ceil() as usize;
     let sparse: Vec<Start> = starts.iter().step_by(STRIDE).copied().collect();
     let first = profile::fit(on, off, None, &sparse, half, noise, true);
     let widths = local_widths(&first, rough);
@@ -76,12 +84,16 @@ pub(super) fn fit<P: Pixel>(
 }
 
 /// Width from the mean profile: half its full width at half maximum ÷ 1.177.
-fn rough_width<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, chain: &Chain) -> f32 {
+pub(super) fn rough_width<P: Pixel>(
+    on: &Image<P>,
+    off: Option<&Image<P>>,
+    starts: &[Start],
+) -> f32 {
     const REACH: usize = 14;
     let mut mean = [0.0_f32; 2 * REACH + 1];
-    let step = (chain.points.len() / 64).max(1);
-    for p in chain.points.iter().step_by(step) {
-        let (u, v) = (usize::from(p.u), usize::from(p.v));
+    let step = (starts.len() / 64).max(1);
+    for s in starts.iter().step_by(step) {
+        let (u, v) = (usize::from(s.u), s.centre.round().max(0.0) as usize);
         if v < REACH || v + REACH >= on.height() {
             continue;
         }
@@ -145,7 +157,7 @@ fn local_widths(fits: &[Fit], rough: f32) -> Vec<f32> {
 }
 
 /// Relative scatter of a pixel by speckle, from how neighbouring peaks differ.
-fn speckle(fits: &[Fit], noise: &Noise) -> f32 {
+pub(super) fn speckle(fits: &[Fit], noise: &Noise) -> f32 {
     let mut steps: Vec<f32> = fits
         .windows(2)
         .filter(|w| w[0].variance.is_finite() && w[1].variance.is_finite())
@@ -166,4 +178,22 @@ fn speckle(fits: &[Fit], noise: &Noise) -> f32 {
     // Median of a squared deviate; a peak averages the speckle of about two grains.
     let contrast = (median.max(0.0) / 0.455).sqrt();
     (0.7 * contrast).clamp(0.02, 0.3)
+}
+
+/// The median; `None` of nothing.
+pub(super) fn median(values: impl Iterator<Item = f32>) -> Option<f32> {
+    let mut all: Vec<f32> = values.collect();
+    if all.is_empty() {
+        return None;
+    }
+    let middle = all.len() / 2;
+    Some(*all.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+/// 0 to 1, from the fit's residual and saturation.
+pub(super) fn quality(fit: &Fit) -> f32 {
+    let model = 1.0 / (1.0 + (fit.chi2 - 1.0).max(0.0) / 4.0);
+    let open = 1.0 - (fit.saturated / (4.0 * fit.width)).min(0.8);
+    let precise = 1.0 / (1.0 + 4.0 * fit.variance);
+    (model * open * precise).clamp(0.0, 1.0)
 }

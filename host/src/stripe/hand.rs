@@ -105,7 +105,7 @@ fn in_columns<P: Pixel>(
         refuse_swapped(image, ambient, &chains)?;
     }
     chains.sort_by_key(|c| c.points.first().map_or(0, |p| p.u));
-    let noise = chain::noise(image, ambient);
+    let noise = chain::noise_in(image, ambient, &region);
     let mut segments = Vec::new();
     for chain in &chains {
         measure(image, ambient, chain, &noise, settings, &mut segments);
@@ -305,7 +305,7 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
                 variance: variance + FLOOR * FLOOR,
                 intensity: fit.peak,
                 width_px: fit.width,
-                quality: quality(fit),
+                quality: chain::quality(fit),
             }
         })
         .collect();
@@ -355,14 +355,6 @@ fn near_median(samples: &[Sample]) -> Vec<bool> {
             (samples[i].v - median).abs() < 2.0
         })
         .collect()
-}
-
-/// 0 to 1, from the fit's residual and saturation.
-fn quality(fit: &Fit) -> f32 {
-    let model = 1.0 / (1.0 + (fit.chi2 - 1.0).max(0.0) / 4.0);
-    let open = 1.0 - (fit.saturated / (4.0 * fit.width)).min(0.8);
-    let precise = 1.0 / (1.0 + 4.0 * fit.variance);
-    (model * open * precise).clamp(0.0, 1.0)
 }
 
 /// Segments much dimmer than the strongest, and off its continuation, are the background.

@@ -20,16 +20,6 @@ impl Chain {
             self.points.last().map_or(0, |p| p.u),
         )
     }
-
-    /// Median response.
-    pub fn typical(&self) -> u16 {
-        let mut all: Vec<u16> = self.points.iter().map(|p| p.response).collect();
-        if all.is_empty() {
-            return 0;
-        }
-        let middle = all.len() / 2;
-        *all.select_nth_unstable(middle).1
-    }
 }
 
 /// A chain that still grows.

@@ -6,6 +6,7 @@ pub mod board;
 mod chain;
 pub mod hand;
 mod link;
+mod outline;
 mod profile;
 mod search;
 mod smooth;

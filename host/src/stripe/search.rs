@@ -54,8 +54,6 @@ pub(super) struct Candidates {
     pub list: Vec<Candidate>,
     /// Index into `list` of each column's first candidate, and one more at the end.
     pub first: Vec<u32>,
-    /// Grey values of the image per unit of the response's pixels (1 for 8 bits).
-    pub scale: f32,
 }
 
 impl Candidates {
@@ -93,7 +91,7 @@ pub(super) fn candidates<P: Pixel>(
             }
         });
     }
-    collect(&best, &row, width, bands, region, (1_u32 << shift) as f32)
+    collect(&best, &row, width, bands, region)
 }
 
 /// The band maxima of up to [`STRIP`] columns.
@@ -175,14 +173,7 @@ fn strip<P: Pixel>(
 }
 
 /// The band maxima above the noise, sorted by column.
-fn collect(
-    best: &[u16],
-    row: &[u16],
-    width: usize,
-    bands: usize,
-    region: &Region,
-    scale: f32,
-) -> Candidates {
+fn collect(best: &[u16], row: &[u16], width: usize, bands: usize, region: &Region) -> Candidates {
     // Most bands hold no stripe: their median is the noise's own maximum over a band.
     let mut histogram = [0_u32; 4096];
     let mut counted = 0;
@@ -241,7 +232,7 @@ fn collect(
         };
         *slot += 1;
     }
-    Candidates { list, first, scale }
+    Candidates { list, first }
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! The extractors on recordings whose true centres are known.
 
+use super::super::board;
 use super::super::hand::{self, HandSettings, Surface};
+use crate::geometry::{Camera, Distortion, Point3, Vector2, Vector3};
 use crate::image::Image;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -119,6 +121,116 @@ fn centres_on_the_hand_are_true() {
             score.print(&format!(
                 "{name} smooth {smooth} albedo {albedo} ambient {with}"
             ));
+        }
+    }
+}
+
+/// The stripe that a light plane draws on the board: points of the line, in pixels.
+fn true_line(truth: &Value, pose: &Value, d: f64) -> Vec<Vector2> {
+    let number = |v: &Value, k: &str| v[k].as_f64().unwrap();
+    let c = &truth["camera"];
+    let k = &c["distortion"];
+    let camera = Camera {
+        width: c["width"].as_u64().unwrap() as _,
+        height: c["height"].as_u64().unwrap() as _,
+        fx: number(c, "fx"),
+        fy: number(c, "fy"),
+        u0: number(c, "u0"),
+        v0: number(c, "v0"),
+        distortion: Distortion {
+            k1: number(k, "k1"),
+            k2: number(k, "k2"),
+            p1: number(k, "p1"),
+            p2: number(k, "p2"),
+            k3: number(k, "k3"),
+        },
+    };
+    let vector = |v: &Value| Vector3::from_fn(|i, _| v[i].as_f64().unwrap());
+    let n = vector(&truth["light"]["normal"]);
+    let r = nalgebra::Matrix3::from_fn(|i, j| pose["R"][i][j].as_f64().unwrap());
+    let t = vector(&pose["t"]);
+    // n·(R p + t) + d = 0 with p = (x, y, 0).
+    let (a, b) = (n.dot(&r.column(0)), n.dot(&r.column(1)));
+    let e = n.dot(&t) + d;
+    let norm = a * a + b * b;
+    (-3000..3000)
+        .filter_map(|i| {
+            let s = 0.05 * f64::from(i) / norm.sqrt();
+            let p = Vector3::new(-a * e / norm - b * s, -b * e / norm + a * s, 0.0);
+            camera.project(&Point3::from(r * p + t))
+        })
+        .collect()
+}
+
+/// Row of the line in column u (interpolated between its points).
+fn row_at(line: &[Vector2], u: f64) -> Option<f64> {
+    line.windows(2)
+        .find(|w| (w[0].x - u) * (w[1].x - u) <= 0.0 && w[0].x != w[1].x)
+        .map(|w| w[0].y + (w[1].y - w[0].y) * (u - w[0].x) / (w[1].x - w[0].x))
+}
+
+fn board_score(session: &Path, with_off: bool) -> (Score, Vec<f64>, [Score; 2]) {
+    let truth = json(&session.join("truth.json"));
+    let plan = json(&session.join("session.json"));
+    let mut score = Score::default();
+    let mut means = Vec::new();
+    let mut classes = [Score::default(), Score::default()];
+    let poses = truth["light_poses"].as_array().unwrap();
+    for (view, pose) in plan["light"].as_array().unwrap().iter().zip(poses) {
+        let off = read(&session.join(view["off"].as_str().unwrap()));
+        let corners: Vec<Vector2> = pose["corners"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|c| Vector2::new(c[0].as_f64().unwrap(), c[1].as_f64().unwrap()))
+            .collect();
+        let all = view["on"].as_array().unwrap();
+        for (on, t) in all.iter().zip(pose["on"].as_array().unwrap()) {
+            let image = read(&session.join(on["image"].as_str().unwrap()));
+            let line = true_line(&truth, pose, t["D_actual"].as_f64().unwrap());
+            let found = board::extract(&image, with_off.then_some(&off), &corners, 8, 6);
+            let points = match found {
+                Ok(points) => points,
+                Err(e) => {
+                    println!("{} {e}", on["image"]);
+                    score.missed += 1;
+                    continue;
+                }
+            };
+            let brightest = points.iter().map(|p| p.intensity).fold(0.0, f32::max);
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for p in &points {
+                let e = p.pixel.y - row_at(&line, p.pixel.x).unwrap();
+                score.errors.push(e);
+                score.normalised.push(e / p.variance.sqrt());
+                let class = &mut classes[usize::from(p.intensity > 0.4 * brightest)];
+                class.errors.push(e);
+                class.normalised.push(e / p.variance.sqrt());
+                sum += e / p.variance;
+                weights += 1.0 / p.variance;
+            }
+            means.push(sum / weights);
+        }
+    }
+    (score, means, classes)
+}
+
+#[test]
+fn centres_on_the_board_are_true() {
+    for session in sessions() {
+        let name = session.file_name().unwrap().to_string_lossy().into_owned();
+        for with_off in [true, false] {
+            let (score, means, classes) = board_score(&session, with_off);
+            score.print(&format!("{name} board off {with_off}"));
+            classes[0].print("   black");
+            classes[1].print("   white");
+            let n = means.len() as f64;
+            println!(
+                "   stripes {n}, mean of weighted means {:+.4}, rms {:.4}, worst {:.4}",
+                means.iter().sum::<f64>() / n,
+                (means.iter().map(|m| m * m).sum::<f64>() / n).sqrt(),
+                means.iter().fold(0.0_f64, |a, b| a.max(b.abs()))
+            );
         }
     }
 }
