@@ -78,11 +78,18 @@ impl Arming {
     }
 }
 
+/// A ring of words. Atomics, so that the DMA's reads of it need no `unsafe`: only slots that no
+/// channel is armed with are written.
+pub type Ring<const N: usize> = [AtomicU32; N];
+
+/// An empty ring.
+pub const fn ring<const N: usize>() -> Ring<N> {
+    [const { AtomicU32::new(0) }; N]
+}
+
 /// A ring of `N` words, its two DMA channels and the PIO0 FIFO that they feed.
 pub struct Feed<const N: usize> {
-    /// Atomics, so that the DMA's reads need no `unsafe` here: only slots that no channel is armed
-    /// with are written.
-    ring: [AtomicU32; N],
+    ring: &'static Ring<N>,
     /// Words pushed so far; written by the one task that pushes.
     head: AtomicUsize,
     /// Up to where pushing is known to be free; found anew only when it is reached.
@@ -93,11 +100,11 @@ pub struct Feed<const N: usize> {
 }
 
 impl<const N: usize> Feed<N> {
-    /// A feed for state machine `machine` of PIO0 by the two DMA channels given.
-    pub const fn new(machine: u8, channels: (u8, u8)) -> Self {
+    /// A feed from `ring` to state machine `machine` of PIO0 by the two DMA channels given.
+    pub const fn new(ring: &'static Ring<N>, machine: u8, channels: (u8, u8)) -> Self {
         assert!(N.is_power_of_two() && channels.0 != channels.1 && machine < 4);
         Self {
-            ring: [const { AtomicU32::new(0) }; N],
+            ring,
             head: AtomicUsize::new(0),
             limit: AtomicUsize::new(0),
             arming: Mutex::new(Cell::new(Arming::EMPTY)),

@@ -14,7 +14,7 @@ use embassy_rp::pio::{
 };
 use portable_atomic::{AtomicU8, Ordering};
 
-use crate::feed::Feed;
+use crate::feed::{Feed, Ring, ring};
 use crate::programs;
 
 /// Pins that the machines drive or look at (contract.md).
@@ -49,9 +49,11 @@ const LASER: usize = 0;
 const UNNAMED: usize = usize::MAX;
 
 /// Step words: 4096 are 8 ms of a ramp at 500 000 steps/s, seconds of a cruise.
-pub static STEPS: Feed<4096> = Feed::new(STEPPER as u8, (0, 1));
+pub static STEPS: Feed<4096> = Feed::new(&STEP_RING, STEPPER as u8, (0, 1));
 /// Compare words.
-pub static COMPARES: Feed<64> = Feed::new(COMPARE as u8, (2, 3));
+pub static COMPARES: Feed<64> = Feed::new(&COMPARE_RING, COMPARE as u8, (2, 3));
+static STEP_RING: Ring<4096> = ring();
+static COMPARE_RING: Ring<64> = ring();
 
 /// Where each program begins, for the jumps that restart a machine.
 static ORIGIN: [AtomicU8; 5] = [const { AtomicU8::new(0) }; 5];
