@@ -33,6 +33,8 @@ export class Pico {
     this.outside = new Map();
     this.complaints = [];
     this.resets = 0;
+    /** Cycles in which the CPU slept. */
+    this.asleep = 0;
     this.#build();
   }
 
@@ -163,7 +165,10 @@ export class Pico {
       if (core.waiting || this.frozen || this.halted) {
         // Asleep: on to the next thing that can happen.
         const next = Math.min(end, clock.due, pio[0].next, pio[1].next);
-        if (next > clock.cycle) clock.cycle = next;
+        if (next > clock.cycle) {
+          this.asleep += next - clock.cycle;
+          clock.cycle = next;
+        }
       } else {
         clock.cycle += core.executeInstruction();
       }
@@ -174,12 +179,13 @@ export class Pico {
     }
   }
 
-  /** The CPU stops as if it had died: everything else goes on. */
-  freeze() {
+  /**
+   * The CPU stops as if it had died: everything else goes on. The watchdog would reset the chip soon;
+   * without it the laser's lease and the starving of the motion are seen alone.
+   */
+  freeze(withoutWatchdog) {
     this.frozen = true;
-    // A dead CPU is what the laser's lease and the starving of the motion are for: the watchdog,
-    // which would reset the chip too, is held back so that they are seen alone.
-    this.mcu.peripherals[0x40058].alarm.enable = false;
+    if (withoutWatchdog) this.mcu.peripherals[0x40058].alarm.enable = false;
   }
 
   /** defmt-rtt's up buffer, raw. */
