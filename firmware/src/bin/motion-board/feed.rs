@@ -162,7 +162,9 @@ impl<const N: usize> Feed<N> {
                 off.set_en(false);
                 self.channel(which).al1_ctrl().write_value(off.0);
             }
-            pac::DMA.chan_abort().write(|w| w.set_chan_abort(self.mask()));
+            pac::DMA
+                .chan_abort()
+                .write(|w| w.set_chan_abort(self.mask()));
             for _ in 0..1000 {
                 if pac::DMA.chan_abort().read().chan_abort() & self.mask() == 0 {
                     break;

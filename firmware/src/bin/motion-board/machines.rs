@@ -76,7 +76,10 @@ const fn jmp(to: u8) -> u16 {
 }
 
 fn inject(machine: usize, instruction: u16) {
-    pac::PIO0.sm(machine).instr().write(|w| w.set_instr(instruction));
+    pac::PIO0
+        .sm(machine)
+        .instr()
+        .write(|w| w.set_instr(instruction));
 }
 
 fn set_enabled(mask: u8, on: bool) {
@@ -112,7 +115,9 @@ pub fn prepare(halt_on: HaltOn) {
     for machine in [STEPPER, COMPARE, COUNTER] {
         rewind(machine);
     }
-    pac::PIO0.irq().write(|w| w.set_irq(1 << programs::FLAG_HALT | 1 << programs::FLAG_TRIGGER));
+    pac::PIO0
+        .irq()
+        .write(|w| w.set_irq(1 << programs::FLAG_HALT | 1 << programs::FLAG_TRIGGER));
     pac::PIO0.sm(STEPPER).execctrl().modify(|w| {
         w.set_jmp_pin(match halt_on {
             HaltOn::Home => pin::HOME,
@@ -207,15 +212,21 @@ pub fn set_pulse(cycles: u32) {
     rewind(CAMERA);
     inject(CAMERA, SET_PINS_LOW);
     inject(CAMERA, MOV_X_ONES);
-    pac::PIO0.txf(CAMERA).write_value(cycles.saturating_sub(programs::PULSE_OVERHEAD));
+    pac::PIO0
+        .txf(CAMERA)
+        .write_value(cycles.saturating_sub(programs::PULSE_OVERHEAD));
     inject(CAMERA, PULL_NOBLOCK);
-    pac::PIO0.irq().write(|w| w.set_irq(1 << programs::FLAG_TRIGGER));
+    pac::PIO0
+        .irq()
+        .write(|w| w.set_irq(1 << programs::FLAG_TRIGGER));
     set_enabled(bit(CAMERA), true);
 }
 
 /// One trigger now, by the CPU (stop and shoot).
 pub fn fire() {
-    pac::PIO0.irq_force().write(|w| w.set_irq_force(1 << programs::FLAG_TRIGGER));
+    pac::PIO0
+        .irq_force()
+        .write(|w| w.set_irq_force(1 << programs::FLAG_TRIGGER));
 }
 
 /// The next trigger that the camera's machine has counted, for its interrupt.
@@ -234,7 +245,9 @@ pub fn lease_laser(us: u32) {
         return;
     }
     let cycles = us.saturating_mul(125);
-    pac::PIO1.txf(LASER).write_value(cycles / programs::LEASE_TICK);
+    pac::PIO1
+        .txf(LASER)
+        .write_value(cycles / programs::LEASE_TICK);
 }
 
 /// The laser off within a few cycles, its lease forgotten.
@@ -340,7 +353,9 @@ pub fn set_up<'d>(
     let exposure = load1(UNNAMED, programs::exposure())?;
     lease.set_set_pins(&[&pads.laser]);
     // Low before it becomes an output.
-    watchers.0.set_pins(embassy_rp::gpio::Level::Low, &[&pads.laser]);
+    watchers
+        .0
+        .set_pins(embassy_rp::gpio::Level::Low, &[&pads.laser]);
     watchers.0.set_pin_dirs(Direction::Out, &[&pads.laser]);
     watchers.0.set_config(&lease);
     watchers.1.set_config(&watch);
@@ -348,9 +363,15 @@ pub fn set_up<'d>(
     watchers.3.set_config(&exposure);
     // Pins that other code holds as plain inputs: the machines only look at them.
     let look_at = |machine: usize, pin: u8| {
-        pac::PIO1.sm(machine).pinctrl().modify(|w| w.set_in_base(pin));
+        pac::PIO1
+            .sm(machine)
+            .pinctrl()
+            .modify(|w| w.set_in_base(pin));
     };
-    pac::PIO1.sm(LASER).execctrl().modify(|w| w.set_jmp_pin(pin::INTERLOCK));
+    pac::PIO1
+        .sm(LASER)
+        .execctrl()
+        .modify(|w| w.set_jmp_pin(pin::INTERLOCK));
     look_at(1, pin::ESTOP);
     look_at(2, pin::INTERLOCK);
     look_at(3, pin::EXPOSURE);

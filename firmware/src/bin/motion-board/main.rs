@@ -56,7 +56,11 @@ const MOST_PER_TURN: usize = 8;
 
 /// The logic's task: bytes in, one turn, words to the machines, bytes out.
 #[embassy_executor::task]
-async fn control(mut board: Board<Output<'static>, Input<'static>>, mut hardware: Hardware, mut keeper: roll::Keeper) -> ! {
+async fn control(
+    mut board: Board<Output<'static>, Input<'static>>,
+    mut hardware: Hardware,
+    mut keeper: roll::Keeper,
+) -> ! {
     let mut bytes = [0; 128];
     loop {
         for _ in 0..MOST_PER_TURN {
@@ -119,7 +123,15 @@ async fn main(spawner: Spawner) {
     };
     let steppers = (first.sm0, first.sm1, first.sm2, first.sm3);
     let watchers = (second.sm0, second.sm1, second.sm2, second.sm3);
-    if machines::set_up(&mut first.common, &mut second.common, &pads, steppers, watchers).is_err() {
+    if machines::set_up(
+        &mut first.common,
+        &mut second.common,
+        &pads,
+        steppers,
+        watchers,
+    )
+    .is_err()
+    {
         safe_state::reset(Cause::Panic, 0);
     }
     // Dropping these would give the pins back.
@@ -155,7 +167,9 @@ const fn version(part: &str) -> u8 {
     let mut value = 0u8;
     let mut rest = part.as_bytes();
     while let [digit, tail @ ..] = rest {
-        value = value.wrapping_mul(10).wrapping_add(digit.wrapping_sub(b'0'));
+        value = value
+            .wrapping_mul(10)
+            .wrapping_add(digit.wrapping_sub(b'0'));
         rest = tail;
     }
     value

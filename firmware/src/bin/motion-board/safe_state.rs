@@ -69,7 +69,9 @@ pub fn reset(cause: Cause, detail: u32) -> ! {
     force_pins();
     note(cause, detail);
     // All but the oscillators, as embassy's watchdog does it.
-    pac::PSM.wdsel().write_value(pac::psm::regs::Wdsel(0x0001_fffc));
+    pac::PSM
+        .wdsel()
+        .write_value(pac::psm::regs::Wdsel(0x0001_fffc));
     pac::WATCHDOG.ctrl().write(|w| w.set_trigger(true));
     loop {
         cortex_m::asm::nop();

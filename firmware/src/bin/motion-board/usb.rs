@@ -65,7 +65,9 @@ async fn receive(mut from: Receiver<'static, Bus>) -> ! {
             Either::First(Ok(length)) => {
                 // Waits only while the logic has not taken the bytes before; if it never does, the
                 // logic is missing at the roll call, and so is this task.
-                FROM_HOST.write_all(packet.get(..length).unwrap_or_default()).await;
+                FROM_HOST
+                    .write_all(packet.get(..length).unwrap_or_default())
+                    .await;
                 WAKE.signal(());
             }
             Either::First(Err(_)) => {
@@ -90,7 +92,10 @@ async fn send(mut to: Sender<'static, Bus>) -> ! {
             Ok(Ok(())) => {}
             Ok(Err(_)) => Timer::after(Duration::from_millis(1)).await,
             Err(_) => {
-                defmt::warn!("the host did not fetch a packet in {=u64} ms", WRITE_TIMEOUT.as_millis());
+                defmt::warn!(
+                    "the host did not fetch a packet in {=u64} ms",
+                    WRITE_TIMEOUT.as_millis()
+                );
                 TO_HOST.clear();
             }
         }
