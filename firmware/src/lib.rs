@@ -9,7 +9,17 @@
 //!
 //! | module | what it does |
 //! |---|---|
+//! | [`ramp`] | t(n) = isqrt(n·2f²/a), exact to the cycle |
+//! | [`profile`] | a move: ramp up, cruise, ramp down, as absolute edge times |
 //! | [`words`] | what the step and compare machines are fed with |
+//! | [`segment`], [`triggers`] | a profile as step words, a trigger plan as compare words, streamed |
+//! | [`verify`] | the words decoded again and held against the plan |
+//! | [`motion`] | one move under way: feeding, arming, its end |
+//! | [`homing`], [`scan_plan`], [`scan`] | the jobs |
+//! | [`exposure`], [`laser`] | exposures counted; when a scan wants light |
+//! | [`safety`] | whether the laser may be on; what is a fault |
+//! | [`ledger`], [`link`] | events kept until acknowledged; commands executed once |
+//! | [`checkin`] | the watchdog's roll call |
 //! | [`engine`] | the hardware that executes them, as a trait |
 //! | [`pins`] | plain inputs and outputs through embedded-hal |
 //! | [`board`] | all of it: what the binary and the simulation drive |
@@ -18,10 +28,21 @@
 
 pub mod board;
 pub mod checkin;
+mod commands;
 pub mod engine;
+pub mod exposure;
+pub mod homing;
+mod jobs;
+pub mod laser;
+pub mod ledger;
+pub mod link;
+pub mod motion;
 pub mod pins;
 pub mod profile;
 pub mod ramp;
+pub mod safety;
+pub mod scan;
+pub mod scan_plan;
 pub mod segment;
 pub mod triggers;
 pub mod verify;

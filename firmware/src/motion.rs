@@ -1,0 +1,325 @@
+//! One move under way: feeds the engine ahead of time, arms triggers as the ledger has room, and
+//! sees how it ends.
+//!
+//! What is fed never reaches further than [`LOOK_AHEAD`] past now by the plan's clock (or one
+//! step): if the CPU dies, the step machine starves within that time.
+
+use crate::engine::{Engine, HaltOn, MoveSetup};
+use crate::ledger::Ledger;
+use crate::profile::Profile;
+use crate::segment::Segments;
+use crate::triggers::Gaps;
+use cannula_shared::error::{Doing, Fault};
+use cannula_shared::plan::TriggerPlan;
+use cannula_shared::units::{Cycles, Micros, Steps};
+
+/// How far past now the engine is fed.
+pub const LOOK_AHEAD: Micros = Micros(20_000);
+/// The most step words in one call.
+const SLICE: usize = 64;
+/// A move that is this much later than planned will not end.
+const OVERDUE: Micros = Micros(1_000_000);
+
+/// How a move ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// Where its profile ends.
+    Arrived,
+    /// At the switch that the machine watches.
+    Halted,
+    /// By a fault of the machinery.
+    Failed(Fault),
+}
+
+/// The slide: where it is, and the move under way.
+#[derive(Clone, Debug, Default)]
+pub struct Motion {
+    position: Steps,
+    known: bool,
+    run: Option<Run>,
+    /// Of the last move: how many steps, and whether away from home.
+    last: (u32, bool),
+}
+
+/// A move under way.
+#[derive(Clone, Debug)]
+struct Run {
+    segments: Segments,
+    begin: Steps,
+    away: bool,
+    started: Micros,
+    /// All words have been pushed.
+    fed: bool,
+    stopping: bool,
+    pass: Option<Pass>,
+}
+
+/// Triggers on the way.
+#[derive(Clone, Debug)]
+struct Pass {
+    gaps: Gaps,
+    /// Places in the ledger for each.
+    places: usize,
+}
+
+impl Motion {
+    /// The commanded position, while moving as of the last edge.
+    pub fn position<E: Engine>(&self, engine: &mut E) -> Steps {
+        match &self.run {
+            Some(run) => run.position(engine.steps_done()),
+            None => self.position,
+        }
+    }
+
+    /// Whether the position is known.
+    pub const fn known(&self) -> bool {
+        self.known
+    }
+
+    /// The position is unknown from here on.
+    pub fn forget(&mut self) {
+        self.known = false;
+    }
+
+    /// The slide stands here, by definition.
+    pub fn set_position(&mut self, position: Steps) {
+        self.position = position;
+        self.known = true;
+    }
+
+    /// Whether a move is under way.
+    pub const fn moving(&self) -> bool {
+        self.run.is_some()
+    }
+
+    /// When the move under way started.
+    pub fn started(&self) -> Option<Micros> {
+        self.run.as_ref().map(|run| run.started)
+    }
+
+    /// Triggers armed so far in this move.
+    pub fn armed(&self) -> u32 {
+        self.run
+            .as_ref()
+            .and_then(|run| run.pass.as_ref())
+            .map_or(0, |pass| pass.gaps.index())
+    }
+
+    /// Cycles from edge to edge now, for the speed, and time to the planned end.
+    pub fn pace<E: Engine>(&self, now: Micros, engine: &mut E) -> Option<(u32, Micros)> {
+        let run = self.run.as_ref()?;
+        let done = engine.steps_done();
+        let profile = run.segments.profile();
+        let left = profile
+            .duration()
+            .to_micros_up()
+            .0
+            .saturating_sub(now.since(run.started).0);
+        Some((profile.interval(done), Micros(left)))
+    }
+
+    /// Starts a move away from home (or towards it), with triggers on the way if given: the plan
+    /// and the places that each takes in the ledger. The direction already stands on its pin.
+    pub fn start<E: Engine>(
+        &mut self,
+        engine: &mut E,
+        ledger: &mut Ledger,
+        profile: Profile,
+        away: bool,
+        pulse: Cycles,
+        triggers: Option<(TriggerPlan, usize)>,
+    ) {
+        engine.prepare(MoveSetup {
+            halt_on: if away { HaltOn::Limit } else { HaltOn::Home },
+            pulse,
+        });
+        let begin = self.position;
+        let pass = triggers.map(|(plan, places)| Pass {
+            gaps: Gaps::new(plan, begin),
+            places,
+        });
+        let mut run = Run {
+            segments: Segments::new(profile),
+            begin,
+            away,
+            started: Micros(0),
+            fed: false,
+            stopping: false,
+            pass,
+        };
+        run.arm(engine, ledger);
+        run.feed(engine, LOOK_AHEAD.to_cycles());
+        run.started = engine.start();
+        self.run = Some(run);
+    }
+
+    /// Slows down and ends; no more triggers.
+    pub fn stop<E: Engine>(&mut self, engine: &mut E) {
+        engine.cancel_triggers();
+        if let Some(run) = &mut self.run {
+            run.pass = None;
+            run.slow_down();
+        }
+    }
+
+    /// Ends at once. Where the slide stands is known to the step; whether it followed is not.
+    pub fn abort<E: Engine>(&mut self, engine: &mut E) {
+        engine.cancel_triggers();
+        engine.abort();
+        self.close(engine);
+    }
+
+    fn close<E: Engine>(&mut self, engine: &mut E) {
+        if let Some(run) = self.run.take() {
+            let done = engine.steps_done();
+            self.position = run.position(done);
+            self.last = (done, run.away);
+        }
+    }
+
+    /// How many steps the last move took.
+    pub const fn travelled(&self) -> u32 {
+        self.last.0
+    }
+
+    /// Whether the last move led away from home.
+    pub const fn went_away(&self) -> bool {
+        self.last.1
+    }
+
+    /// Feeds the engine; how the move ended, if it did. When the ledger has no place for the next
+    /// trigger, the move stops before it: `full` is then the first trigger that will not fire.
+    pub fn poll<E: Engine>(
+        &mut self,
+        now: Micros,
+        engine: &mut E,
+        ledger: &mut Ledger,
+        full: &mut Option<u32>,
+    ) -> Option<Ended> {
+        let run = self.run.as_mut()?;
+        if engine.halted() {
+            self.close(engine);
+            return Some(Ended::Halted);
+        }
+        if engine.underrun() {
+            let step = engine.steps_done();
+            self.abort(engine);
+            return Some(Ended::Failed(Fault::Underrun { step }));
+        }
+        if !run.fed {
+            run.arm(engine, ledger);
+            if let Some(index) = run.unarmed_within_reach() {
+                *full = Some(index);
+                engine.cancel_triggers();
+                run.pass = None;
+                run.slow_down();
+            }
+            let elapsed = now.since(run.started).after(LOOK_AHEAD);
+            run.feed(engine, elapsed.to_cycles());
+        }
+        if run.fed && engine.idle() {
+            let planned = run.segments.steps();
+            let counted = engine.steps_done();
+            self.close(engine);
+            return Some(if planned == counted {
+                Ended::Arrived
+            } else {
+                Ended::Failed(Fault::StepCount { planned, counted })
+            });
+        }
+        let end = run
+            .segments
+            .profile()
+            .duration()
+            .to_micros_up()
+            .after(OVERDUE);
+        if now.since(run.started) > end {
+            self.abort(engine);
+            return Some(Ended::Failed(Fault::Timeout {
+                doing: Doing::Moving,
+            }));
+        }
+        None
+    }
+
+    /// When [`Self::poll`] must be called again at the latest.
+    pub fn wake<E: Engine>(&self, now: Micros, engine: &mut E) -> Option<Micros> {
+        let run = self.run.as_ref()?;
+        let fed_until = run.started.after(run.segments.time().to_micros_down());
+        // Half the look-ahead is left then; at once if the last slice was not enough.
+        let due = Micros(fed_until.0.saturating_sub(LOOK_AHEAD.0 / 2));
+        let soon = now.after(Micros(1000));
+        Some(if run.fed {
+            soon
+        } else if engine.step_room() == 0 {
+            now.after(Micros(200))
+        } else {
+            due.clamp(now, soon)
+        })
+    }
+}
+
+impl Run {
+    fn position(&self, done: u32) -> Steps {
+        let done = i32::try_from(done).unwrap_or(i32::MAX);
+        let at = if self.away {
+            self.begin.0.saturating_add(done)
+        } else {
+            self.begin.0.saturating_sub(done)
+        };
+        Steps(at)
+    }
+
+    fn slow_down(&mut self) {
+        if !self.stopping && !self.fed {
+            self.segments.stop();
+        }
+        self.stopping = true;
+    }
+
+    /// Arms triggers as far as the compare machine and the ledger take them.
+    fn arm<E: Engine>(&mut self, engine: &mut E, ledger: &mut Ledger) {
+        let Some(pass) = &mut self.pass else { return };
+        while pass.gaps.position().is_some() && engine.compare_room() > 0 {
+            if !ledger.reserve(pass.places) {
+                return;
+            }
+            match pass.gaps.next() {
+                Some(word) => engine.push_compare(word),
+                None => return ledger.release(pass.places),
+            }
+        }
+    }
+
+    /// The next trigger, if it is not armed although the next words would take the slide past it.
+    fn unarmed_within_reach(&self) -> Option<u32> {
+        let pass = self.pass.as_ref()?;
+        let position = pass.gaps.position()?;
+        let distance = i64::from(position.0) - i64::from(self.begin.0);
+        // One slice of words ahead of what has been given out; words are short (4 ms).
+        let reach = i64::from(self.segments.steps()) + i64::from(self.reach());
+        (distance <= reach).then(|| pass.gaps.index())
+    }
+
+    /// Steps that the look-ahead can add in one call: at the fastest interval of the move.
+    fn reach(&self) -> u32 {
+        let interval = u64::from(self.segments.profile().cruise_interval().max(1));
+        u32::try_from(LOOK_AHEAD.to_cycles().0 / interval).unwrap_or(u32::MAX)
+    }
+
+    /// Pushes words that begin before `until` (cycles since the start), a slice at most.
+    fn feed<E: Engine>(&mut self, engine: &mut E, until: Cycles) {
+        let mut room = engine.step_room().min(SLICE);
+        while room > 0 && self.segments.time() < until {
+            match self.segments.next() {
+                Some(word) => engine.push_step(word),
+                None => {
+                    self.fed = true;
+                    engine.finish();
+                    return;
+                }
+            }
+            room -= 1;
+        }
+    }
+}
