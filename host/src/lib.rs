@@ -23,6 +23,7 @@ pub mod cloud;
 pub mod geometry;
 pub mod image;
 pub mod needle;
+pub mod puncture;
 pub mod progress;
 pub mod report;
 pub mod rig;
