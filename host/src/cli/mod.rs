@@ -8,6 +8,7 @@ mod angle;
 mod calibrate;
 mod output;
 mod process;
+mod puncture;
 mod simulate;
 
 pub use output::Output;
@@ -33,6 +34,8 @@ enum Command {
     Angle(angle::Args),
     /// Calibrate and angle in one go, with the report.
     Process(process::Args),
+    /// Force curves of the puncture per angle, and the decision.
+    Puncture(puncture::Args),
     /// Recordings of the simulated rig, with their truth.
     Simulate(simulate::Args),
 }
@@ -42,6 +45,7 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Calibrate(args) => calibrate::run(args, out),
         Command::Angle(args) => angle::run(args, out),
         Command::Process(args) => process::run(args, out),
+        Command::Puncture(args) => puncture::run(args, out),
         Command::Simulate(args) => simulate::run(args, out),
     }
 }
