@@ -15,7 +15,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// Angles to the skin, degrees, 10 to 80.
-    #[arg(long, value_delimiter = ',', default_value = "30,45,60", value_name = "DEG,…")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "30,45,60",
+        value_name = "DEG,…"
+    )]
     angles: Vec<f64>,
     /// Where puncture.json and the curves go.
     #[arg(long)]

@@ -183,7 +183,11 @@ impl Interface {
         }
         body.mass_sink = 0.0;
         for f in &mut facet {
-            let mass = f.node.iter().map(|&n| body.mass[n]).fold(f64::INFINITY, f64::min);
+            let mass = f
+                .node
+                .iter()
+                .map(|&n| body.mass[n])
+                .fold(f64::INFINITY, f64::min);
             f.spring = stiffness.contact * mass / f.area;
         }
         let held: Vec<usize> = body
@@ -231,7 +235,11 @@ impl Interface {
                 let y = sum(1);
                 let mut force = [0.0; 3];
                 let (x, z) = (sum(0), sum(2));
-                let (w, wx, wz) = if near { needle.width(x, z) } else { (-1.0, 0.0, 0.0) };
+                let (w, wx, wz) = if near {
+                    needle.width(x, z)
+                } else {
+                    (-1.0, 0.0, 0.0)
+                };
                 if let Some(law) = f.law {
                     // The edge severs by its advance against the tissue.
                     let mut rate = 0.0;
@@ -379,14 +387,17 @@ impl Interface {
 
     /// Area in a region where the bond is gone, and the area of all, mm².
     pub fn cut_area(&self, region: Region) -> (f64, f64) {
-        self.points(region).fold((0.0, 0.0), |(cut, all), (_, area, point)| {
-            (if point.most >= 1.0 { cut + area } else { cut }, all + area)
-        })
+        self.points(region)
+            .fold((0.0, 0.0), |(cut, all), (_, area, point)| {
+                (if point.most >= 1.0 { cut + area } else { cut }, all + area)
+            })
     }
 
     /// Height at rest of a region's lowest points.
     pub fn lowest(&self, region: Region) -> f64 {
-        self.points(region).map(|(at, _, _)| at[1]).fold(f64::INFINITY, f64::min)
+        self.points(region)
+            .map(|(at, _, _)| at[1])
+            .fold(f64::INFINITY, f64::min)
     }
 
     fn points(&self, region: Region) -> impl Iterator<Item = ([f64; 2], f64, &Point)> {
@@ -433,10 +444,13 @@ fn rub(
     }
     let tangent = |v: [f64; 3]| {
         let k = dot(v, normal) / normal2;
-        [v[0] - k * normal[0], v[1] - k * normal[1], v[2] - k * normal[2]]
+        [
+            v[0] - k * normal[0],
+            v[1] - k * normal[1],
+            v[2] - k * normal[2],
+        ]
     };
-    let slip: [f64; 3] =
-        std::array::from_fn(|c| at[c] - point.before[c] - velocity[c]);
+    let slip: [f64; 3] = std::array::from_fn(|c| at[c] - point.before[c] - velocity[c]);
     let slip = tangent(slip);
     let old = tangent(point.drag);
     // Turning the spring into the new tangent plane loses what stood out of it.

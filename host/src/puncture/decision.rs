@@ -38,11 +38,16 @@ pub struct Decision {
 
 /// Decides among finished runs.
 pub fn decide(rows: Vec<Row>, criterion: Criterion) -> Option<Decision> {
-    let best = rows.iter().min_by(|a, b| a.peak_force_n.total_cmp(&b.peak_force_n))?;
+    let best = rows
+        .iter()
+        .min_by(|a, b| a.peak_force_n.total_cmp(&b.peak_force_n))?;
     Some(Decision {
         angle_deg: best.angle_deg,
         criterion,
-        sentence: format!("{}° has the lowest peak force, {:.2} N.", best.angle_deg, best.peak_force_n),
+        sentence: format!(
+            "{}° has the lowest peak force, {:.2} N.",
+            best.angle_deg, best.peak_force_n
+        ),
         rows,
     })
 }

@@ -83,8 +83,14 @@ impl Bricks {
             .map(|(q, quad)| {
                 let p = quad.map(|n| mesh.section[n]);
                 let area = mesh.area(quad);
-                let by = [(p[1][1] - p[3][1]) / (2.0 * area), (p[2][1] - p[0][1]) / (2.0 * area)];
-                let bz = [(p[3][0] - p[1][0]) / (2.0 * area), (p[0][0] - p[2][0]) / (2.0 * area)];
+                let by = [
+                    (p[1][1] - p[3][1]) / (2.0 * area),
+                    (p[2][1] - p[0][1]) / (2.0 * area),
+                ];
+                let bz = [
+                    (p[3][0] - p[1][0]) / (2.0 * area),
+                    (p[0][0] - p[2][0]) / (2.0 * area),
+                ];
                 let material = material(q);
                 Row {
                     node: *quad,

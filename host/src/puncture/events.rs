@@ -61,7 +61,11 @@ pub fn smooth(samples: &[Sample]) -> Vec<Sample> {
         let mut mean = *s;
         mean.force_n = samples[from..to].iter().map(|s| s.force_n).sum::<f64>() / n;
         for r in 0..5 {
-            mean.by_region[r] = samples[from..to].iter().map(|s| s.by_region[r]).sum::<f64>() / n;
+            mean.by_region[r] = samples[from..to]
+                .iter()
+                .map(|s| s.by_region[r])
+                .sum::<f64>()
+                / n;
         }
         out.push(mean);
     }
@@ -93,28 +97,32 @@ pub fn first_drop(force: &[f64]) -> Option<(usize, f64)> {
 pub fn events(run: &Run) -> Vec<Event> {
     let smooth = smooth(&run.samples);
     let speed = run.speed_mm_s;
-    [(Region::Skin, "skin"), (Region::Fat, "fat"), (Region::Vein, "vein")]
-        .into_iter()
-        .map(|(region, layer)| {
-            let r = region.index();
-            let force: Vec<f64> = smooth.iter().map(|s| s.by_region[r]).collect();
-            let contact = run.samples.iter().position(|s| s.by_region[r] > CONTACT_N);
-            let drop = first_drop(&force);
-            let passed_s = run.severed.path_mm[r].map(|p| p / speed);
-            let (puncture_s, found_by) = match (drop, passed_s) {
-                (Some((i, _)), _) => (Some(smooth[i].time_s), Some(FoundBy::Drop)),
-                (None, Some(t)) => (Some(t), Some(FoundBy::Passage)),
-                (None, None) => (None, None),
-            };
-            Event {
-                layer,
-                contact_s: contact.map(|i| run.samples[i].time_s),
-                puncture_s,
-                found_by,
-                passed_s,
-                drop: drop.map_or(0.0, |d| d.1),
-                peak_force_n: force.iter().copied().fold(0.0, f64::max),
-            }
-        })
-        .collect()
+    [
+        (Region::Skin, "skin"),
+        (Region::Fat, "fat"),
+        (Region::Vein, "vein"),
+    ]
+    .into_iter()
+    .map(|(region, layer)| {
+        let r = region.index();
+        let force: Vec<f64> = smooth.iter().map(|s| s.by_region[r]).collect();
+        let contact = run.samples.iter().position(|s| s.by_region[r] > CONTACT_N);
+        let drop = first_drop(&force);
+        let passed_s = run.severed.path_mm[r].map(|p| p / speed);
+        let (puncture_s, found_by) = match (drop, passed_s) {
+            (Some((i, _)), _) => (Some(smooth[i].time_s), Some(FoundBy::Drop)),
+            (None, Some(t)) => (Some(t), Some(FoundBy::Passage)),
+            (None, None) => (None, None),
+        };
+        Event {
+            layer,
+            contact_s: contact.map(|i| run.samples[i].time_s),
+            puncture_s,
+            found_by,
+            passed_s,
+            drop: drop.map_or(0.0, |d| d.1),
+            peak_force_n: force.iter().copied().fold(0.0, f64::max),
+        }
+    })
+    .collect()
 }

@@ -12,9 +12,9 @@
 //! and the kinetic energy that this takes is booked. Damping is proportional to mass and booked.
 
 use super::element::{Bricks, Field, Health, Scratch};
+use super::lane::{Lane, Wide};
 use super::material::{Branch, Law, Material};
 use super::mesh::{Mesh, Region};
-use super::lane::{Lane, Wide};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Numbers of the time integration.
@@ -138,7 +138,10 @@ impl Body {
                 }
             }
         }
-        let inverse: Vec<f64> = mass.iter().map(|&m| if m > 0.0 { 1.0 / m } else { 0.0 }).collect();
+        let inverse: Vec<f64> = mass
+            .iter()
+            .map(|&m| if m > 0.0 { 1.0 / m } else { 0.0 })
+            .collect();
         let scratch = Scratch::new(&bricks);
         Self {
             u: zeros(),
@@ -212,7 +215,8 @@ impl Body {
     /// Adds the internal forces to `f`, which holds the external ones; so `f` is the residual, and
     /// at held or prescribed places minus the reaction.
     pub fn internal(&mut self) {
-        self.bricks.subtract_forces(&self.u, &mut self.f, &mut self.scratch);
+        self.bricks
+            .subtract_forces(&self.u, &mut self.f, &mut self.scratch);
     }
 
     /// Moves by one step with the residual in `f`, which is zeroed.
@@ -261,10 +265,15 @@ impl Body {
         if health.least_j < 0.3 {
             let (r, i) = health.at;
             let quad = self.mesh.quads[r];
-            let middle = |k: usize| quad.iter().map(|&q| self.mesh.section[q][k]).sum::<f64>() / 4.0;
+            let middle =
+                |k: usize| quad.iter().map(|&q| self.mesh.section[q][k]).sum::<f64>() / 4.0;
             return Err(Stopped::Inverted {
                 region: self.mesh.region[r].name(),
-                at: [0.5 * (self.mesh.x[i] + self.mesh.x[i + 1]), middle(0), middle(1)],
+                at: [
+                    0.5 * (self.mesh.x[i] + self.mesh.x[i + 1]),
+                    middle(0),
+                    middle(1),
+                ],
                 j: health.least_j,
                 path_mm,
             });

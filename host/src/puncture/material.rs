@@ -228,8 +228,7 @@ impl Material {
                 } else {
                     (one, i2bar - t.splat(3.0), t.splat(0.0))
                 };
-                let energy =
-                    e * t.splat(c10) + value * t.splat(c01) + g * g * t.splat(1.0 / d1);
+                let energy = e * t.splat(c10) + value * t.splat(c01) + g * g * t.splat(1.0 / d1);
                 let dvol = g * t.splat(2.0 / d1);
                 let a1 = jr2 * t.splat(2.0 * c10);
                 let a2 = slope * jr4 * t.splat(2.0 * c01);

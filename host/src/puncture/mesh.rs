@@ -96,7 +96,12 @@ impl Mesh {
     /// A block of equal bricks from (0, 0, 0), of one tissue (for the verification).
     pub fn block(size: [f64; 3], n: [usize; 3], region: Region) -> Self {
         let line = |l: f64, n: usize| (0..=n).map(|i| l * i as f64 / n as f64).collect::<Vec<_>>();
-        Self::sheet(&line(size[0], n[0]), &line(size[1], n[1]), &line(size[2], n[2]), region)
+        Self::sheet(
+            &line(size[0], n[0]),
+            &line(size[1], n[1]),
+            &line(size[2], n[2]),
+            region,
+        )
     }
 
     /// A block between given planes.
@@ -157,15 +162,30 @@ impl Mesh {
 
         let mut b = Builder::default();
         let above = |j: usize| if j < n_fat { Region::Fat } else { Region::Skin };
-        b.block_by(y_top.len() - 1, z_top.len() - 1, |i, j| [y_top[i], z_top[j]], |_, j| above(j));
+        b.block_by(
+            y_top.len() - 1,
+            z_top.len() - 1,
+            |i, j| [y_top[i], z_top[j]],
+            |_, j| above(j),
+        );
         b.block_by(
             y_right.len() - 1,
             z_top.len() - 1,
             |i, j| [y_right[i], z_top[j]],
             |_, j| above(j),
         );
-        b.block(y_right.len() - 1, n_side, |i, j| [y_right[i], z_side[j]], Region::Fat);
-        b.block(n_bottom, z_deep.len() - 1, |i, j| [y_bottom[i], z_deep[j]], Region::Muscle);
+        b.block(
+            y_right.len() - 1,
+            n_side,
+            |i, j| [y_right[i], z_side[j]],
+            Region::Fat,
+        );
+        b.block(
+            n_bottom,
+            z_deep.len() - 1,
+            |i, j| [y_bottom[i], z_deep[j]],
+            Region::Muscle,
+        );
         b.block(
             y_right.len() - 1,
             z_deep.len() - 1,
@@ -180,7 +200,10 @@ impl Mesh {
             rim.push(([y, box_top], 0.25 * PI * y / box_half));
         }
         for (k, &z) in z_side.iter().rev().enumerate().skip(1) {
-            rim.push(([box_half, z], 0.25 * PI + 0.5 * PI * k as f64 / n_side as f64));
+            rim.push((
+                [box_half, z],
+                0.25 * PI + 0.5 * PI * k as f64 / n_side as f64,
+            ));
         }
         for &y in y_bottom.iter().rev().skip(1) {
             rim.push(([y, box_bottom], PI - 0.25 * PI * y / box_half));
@@ -191,7 +214,11 @@ impl Mesh {
         let at = |i: usize, j: usize| {
             let ([by, bz], phi) = rim[j];
             let on = |r: f64| {
-                let y = if j == 0 || j == around { 0.0 } else { r * phi.sin() };
+                let y = if j == 0 || j == around {
+                    0.0
+                } else {
+                    r * phi.sin()
+                };
                 [y, axis + r * phi.cos()]
             };
             if i >= n_gap {
@@ -215,7 +242,11 @@ impl Mesh {
             b.lumen.push([at(rings, j), at(rings, j + 1)]);
         }
 
-        let mut x = evenly(x_from, x_to, ((x_to - x_from) / h).round().max(1.0) as usize);
+        let mut x = evenly(
+            x_from,
+            x_to,
+            ((x_to - x_from) / h).round().max(1.0) as usize,
+        );
         let dx = x[1] - x[0];
         let tail = graded(0.0, 5.0, 1.3 * dx, 1.4);
         let mut all: Vec<f64> = tail.iter().skip(1).rev().map(|d| x_from - d).collect();
@@ -228,7 +259,13 @@ impl Mesh {
 /// n equal intervals.
 fn evenly(from: f64, to: f64, n: usize) -> Vec<f64> {
     (0..=n)
-        .map(|i| if i == n { to } else { from + (to - from) * i as f64 / n as f64 })
+        .map(|i| {
+            if i == n {
+                to
+            } else {
+                from + (to - from) * i as f64 / n as f64
+            }
+        })
         .collect()
 }
 

@@ -50,7 +50,11 @@ impl Lumen {
         for (f, index) in self.facet.iter().zip(&self.index) {
             let p = f.map(|n| {
                 let r = body.rest(n);
-                [r[0] + body.u[0][n], r[1] + body.u[1][n], r[2] + body.u[2][n]]
+                [
+                    r[0] + body.u[0][n],
+                    r[1] + body.u[1][n],
+                    r[2] + body.u[2][n],
+                ]
             });
             let d: [f64; 3] = std::array::from_fn(|c| p[2][c] - p[0][c]);
             let e: [f64; 3] = std::array::from_fn(|c| p[3][c] - p[1][c]);

@@ -206,7 +206,11 @@ struct Model {
 impl Model {
     fn new(setup: &Setup, numerics: &Numerics, x_to: f64) -> Self {
         let mesh = Mesh::hand(setup, numerics.h_mm, -1.0, x_to);
-        let low = mesh.section.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min);
+        let low = mesh
+            .section
+            .iter()
+            .map(|p| p[1])
+            .fold(f64::INFINITY, f64::min);
         let side = mesh.section.iter().map(|p| p[0]).fold(0.0, f64::max);
         let (x0, x1) = (mesh.x[0], mesh.x[mesh.x.len() - 1]);
         let tissue = |r: Region| match r {
@@ -215,7 +219,12 @@ impl Model {
             Region::Vein | Region::FarWall => setup.vein,
             Region::Muscle => setup.muscle,
         };
-        let mut body = Body::new(mesh, |r| tissue(r).law, Branch::Stabilised, numerics.integration);
+        let mut body = Body::new(
+            mesh,
+            |r| tissue(r).law,
+            Branch::Stabilised,
+            numerics.integration,
+        );
         for c in 0..3 {
             body.hold(c, |p| p[2] < low + 1e-9);
         }
@@ -287,7 +296,10 @@ pub fn puncture(
     let h = numerics.h_mm;
     let deepest = setup.lumen_roof_mm() + 0.9 * setup.layers.lumen_mm;
     let path = deepest / angle.sin();
-    let shape = Shape::new(setup.needle.diameter_mm, setup.needle.bevel_deg.to_radians());
+    let shape = Shape::new(
+        setup.needle.diameter_mm,
+        setup.needle.bevel_deg.to_radians(),
+    );
     let reach = deepest / angle.tan();
     let x_to = reach.max(setup.needle.diameter_mm / angle.sin()) + 0.8;
     let mut model = Model::new(setup, numerics, x_to);
