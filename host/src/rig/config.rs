@@ -1,0 +1,555 @@
+//! The rig's configuration file (TOML). [`EXAMPLE`] is the documentation: every key with its
+//! meaning and its default. Each value is checked, and what is wrong is said with its key.
+
+use crate::board::BoardGeometry;
+use crate::simulation::Profile;
+use cannula_shared::config::{Config as BoardConfig, ExposureInput, Field, MissingExposure};
+use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest};
+use cannula_shared::units::StepsPerMm;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// A configuration with every key and its meaning.
+pub const EXAMPLE: &str = include_str!("example.toml");
+
+/// What is wrong with a configuration: the file, the key, what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It can't be read.
+    #[error("{path}: can't be read", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is no TOML, or has a key that there is not, or a value of the wrong kind.
+    #[error("{path}: {reason}", path = path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Line and reason in one sentence.
+        reason: String,
+    },
+    /// A value can't be.
+    #[error("{path}: {key} is {value}: give {wanted}", path = path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The key, with its table.
+        key: &'static str,
+        /// What stands there.
+        value: String,
+        /// What may stand there.
+        wanted: String,
+    },
+}
+
+/// The rig.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rig {
+    /// The motion board and its slide.
+    pub board: Board,
+    /// The camera.
+    pub camera: Camera,
+    /// The laser.
+    pub laser: Laser,
+    /// The calibration target.
+    pub checkerboard: Checkerboard,
+    /// Slide positions of the light planes.
+    pub light: Light,
+    /// Slide positions of the scan.
+    pub scan: Scan,
+    /// The simulated rig.
+    pub simulation: Simulation,
+}
+
+/// `[board]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Board {
+    pub port: String,
+    pub steps_per_mm: [u32; 2],
+    pub invert_direction: bool,
+    pub travel_mm: f64,
+    pub max_speed_mm_s: f64,
+    pub acceleration_mm_s2: f64,
+    pub homing_fast_mm_s: f64,
+    pub homing_slow_mm_s: f64,
+    pub clearance_mm: f64,
+    pub run_up_mm: f64,
+    pub settle_ms: f64,
+    pub exposure_wired: bool,
+}
+
+/// `[camera]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Camera {
+    pub kind: CameraKind,
+    pub device: String,
+    pub region: [u32; 4],
+    pub trigger: TriggerSource,
+    pub trigger_line: String,
+    pub exposure_board_ms: f64,
+    pub exposure_laser_ms: f64,
+    pub gain_db: f64,
+    pub frame_time_ms: f64,
+    pub timeout_ms: f64,
+}
+
+/// What kind of camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CameraKind {
+    /// Industrial, by aravis.
+    Genicam,
+    /// UVC, by Video4Linux.
+    V4l,
+    /// Rendered.
+    Simulated,
+    /// Images of a folder.
+    Folder,
+}
+
+/// What starts an exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TriggerSource {
+    /// The motion board's pin.
+    Board,
+    /// A command to the camera.
+    Software,
+    /// Nothing: the camera runs by itself.
+    Free,
+}
+
+/// `[laser]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Laser {
+    pub lead_ms: f64,
+    pub manual_s: f64,
+}
+
+/// `[checkerboard]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Checkerboard {
+    pub columns: usize,
+    pub rows: usize,
+    pub square_mm: f64,
+}
+
+/// `[light]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Light {
+    pub start_mm: f64,
+    pub spacing_mm: f64,
+    pub count: u32,
+}
+
+/// `[scan]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Scan {
+    pub start_mm: f64,
+    pub spacing_mm: f64,
+    pub count: u32,
+    pub speed_mm_s: f64,
+    pub mode: Mode,
+}
+
+/// How a scan moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Travel, settle, expose.
+    Stop,
+    /// On the fly at constant speed.
+    Constant,
+    /// On the fly, ramps included.
+    Ramped,
+}
+
+/// `[simulation]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
+pub struct Simulation {
+    pub seed: u64,
+    pub profile: String,
+}
+
+impl Default for Board {
+    fn default() -> Self {
+        Self {
+            port: "auto".into(),
+            steps_per_mm: [800, 1],
+            invert_direction: false,
+            travel_mm: 300.0,
+            max_speed_mm_s: 50.0,
+            acceleration_mm_s2: 200.0,
+            homing_fast_mm_s: 10.0,
+            homing_slow_mm_s: 1.0,
+            clearance_mm: 1.0,
+            run_up_mm: 0.5,
+            settle_ms: 100.0,
+            exposure_wired: false,
+        }
+    }
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self {
+            kind: CameraKind::Simulated,
+            device: String::new(),
+            region: [0; 4],
+            trigger: TriggerSource::Board,
+            trigger_line: "Line0".into(),
+            exposure_board_ms: 10.0,
+            exposure_laser_ms: 5.0,
+            gain_db: 0.0,
+            frame_time_ms: 20.0,
+            timeout_ms: 500.0,
+        }
+    }
+}
+
+impl Default for Laser {
+    fn default() -> Self {
+        Self {
+            lead_ms: 2.0,
+            manual_s: 60.0,
+        }
+    }
+}
+
+impl Default for Checkerboard {
+    fn default() -> Self {
+        Self {
+            columns: 8,
+            rows: 6,
+            square_mm: 10.0,
+        }
+    }
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self {
+            start_mm: 0.0,
+            spacing_mm: 5.0,
+            count: 13,
+        }
+    }
+}
+
+impl Default for Scan {
+    fn default() -> Self {
+        Self {
+            start_mm: 0.0,
+            spacing_mm: 2.0,
+            count: 31,
+            speed_mm_s: 20.0,
+            mode: Mode::Constant,
+        }
+    }
+}
+
+impl Default for Simulation {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            profile: "nominal".into(),
+        }
+    }
+}
+
+impl Rig {
+    /// Reads and checks a configuration file.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::parse(&text, path)
+    }
+
+    /// Parses and checks; `path` is for messages only.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        let rig: Self = toml::from_str(text).map_err(|e| {
+            let line = e
+                .span()
+                .map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+            ConfigError::Syntax {
+                path: path.to_owned(),
+                reason: format!("line {line}: {}", e.message().replace('\n', " ")),
+            }
+        })?;
+        rig.check(path)?;
+        Ok(rig)
+    }
+
+    /// Checks every value; `path` is for messages only.
+    pub fn check(&self, path: &Path) -> Result<(), ConfigError> {
+        let fail = |key: &'static str, value: String, wanted: &str| {
+            Err(ConfigError::Value {
+                path: path.to_owned(),
+                key,
+                value,
+                wanted: wanted.to_owned(),
+            })
+        };
+        // Bounds that turn into the board's integers without loss; its own limits come after.
+        let bounds: [(&'static str, f64, f64, f64); 24] = [
+            ("board.travel_mm", self.board.travel_mm, 1e-3, 1e6),
+            ("board.max_speed_mm_s", self.board.max_speed_mm_s, 1e-3, 1e4),
+            ("board.acceleration_mm_s2", self.board.acceleration_mm_s2, 1e-3, 1e6),
+            ("board.homing_fast_mm_s", self.board.homing_fast_mm_s, 1e-3, 1e4),
+            ("board.homing_slow_mm_s", self.board.homing_slow_mm_s, 1e-3, 1e4),
+            ("board.clearance_mm", self.board.clearance_mm, 0.0, 1e3),
+            ("board.run_up_mm", self.board.run_up_mm, 0.0, 1e3),
+            ("board.settle_ms", self.board.settle_ms, 0.0, 1e4),
+            ("camera.exposure_board_ms", self.camera.exposure_board_ms, 0.001, 1000.0),
+            ("camera.exposure_laser_ms", self.camera.exposure_laser_ms, 0.001, 1000.0),
+            ("camera.gain_db", self.camera.gain_db, -20.0, 60.0),
+            ("camera.frame_time_ms", self.camera.frame_time_ms, 0.0, 10_000.0),
+            ("camera.timeout_ms", self.camera.timeout_ms, 1.0, 60_000.0),
+            ("laser.lead_ms", self.laser.lead_ms, 0.0, 1000.0),
+            ("laser.manual_s", self.laser.manual_s, 0.001, 3600.0),
+            ("checkerboard.columns", self.checkerboard.columns as f64, 3.0, 60.0),
+            ("checkerboard.rows", self.checkerboard.rows as f64, 3.0, 60.0),
+            ("checkerboard.square_mm", self.checkerboard.square_mm, 0.5, 500.0),
+            ("light.start_mm", self.light.start_mm, 0.0, self.board.travel_mm),
+            ("light.spacing_mm", self.light.spacing_mm, 1e-3, 1e3),
+            ("light.count", f64::from(self.light.count), 1.0, 1000.0),
+            ("scan.start_mm", self.scan.start_mm, 0.0, self.board.travel_mm),
+            ("scan.spacing_mm", self.scan.spacing_mm, 1e-3, 1e3),
+            ("scan.speed_mm_s", self.scan.speed_mm_s, 1e-3, self.board.max_speed_mm_s),
+        ];
+        for (key, value, low, high) in bounds {
+            if !(low..=high).contains(&value) {
+                return fail(key, value.to_string(), &format!("{low} to {high}"));
+            }
+        }
+        if self.scan.count == 0 || self.scan.count > 100_000 {
+            return fail("scan.count", self.scan.count.to_string(), "1 to 100000");
+        }
+        if self.checkerboard.rows > self.checkerboard.columns {
+            return fail(
+                "checkerboard.rows",
+                self.checkerboard.rows.to_string(),
+                "the short side: at most checkerboard.columns",
+            );
+        }
+        for (key, start, spacing, count) in [
+            ("light.count", self.light.start_mm, self.light.spacing_mm, self.light.count),
+            ("scan.count", self.scan.start_mm, self.scan.spacing_mm, self.scan.count),
+        ] {
+            let end = start + spacing * f64::from(count - 1);
+            if end > self.board.travel_mm + 1e-9 {
+                return fail(
+                    key,
+                    count.to_string(),
+                    &format!(
+                        "fewer positions: the last would lie at {end} mm, the slide's travel is {} mm",
+                        self.board.travel_mm
+                    ),
+                );
+            }
+        }
+        if self.simulation.profile.parse::<Profile>().is_err() {
+            return fail(
+                "simulation.profile",
+                format!("{:?}", self.simulation.profile),
+                "\"tiny\", \"nominal\" or \"hard\"",
+            );
+        }
+        let folder_or_device = matches!(self.camera.kind, CameraKind::Folder | CameraKind::V4l);
+        if folder_or_device && self.camera.device.is_empty() {
+            return fail("camera.device", "\"\"".into(), "the device or folder to take images from");
+        }
+        if let Err(e) = self.board_config(self.camera.exposure_laser_ms).validate() {
+            return fail(
+                key_of(e.field),
+                format!("{} ({})", e.value, e.field.name()),
+                &format!("{} to {} in that unit, given the other keys", e.min, e.max),
+            );
+        }
+        Ok(())
+    }
+
+    /// The motion board's configuration for an exposure.
+    pub fn board_config(&self, exposure_ms: f64) -> BoardConfig {
+        let micro = |x: f64| (x * 1000.0).round().clamp(0.0, u32::MAX.into()) as u32;
+        let b = &self.board;
+        let base = BoardConfig::default();
+        BoardConfig {
+            steps_per_mm: StepsPerMm {
+                numerator: b.steps_per_mm[0],
+                denominator: b.steps_per_mm[1],
+            },
+            invert_direction: b.invert_direction,
+            travel_um: micro(b.travel_mm),
+            max_speed_um_s: micro(b.max_speed_mm_s),
+            acceleration_um_s2: micro(b.acceleration_mm_s2),
+            homing_fast_um_s: micro(b.homing_fast_mm_s),
+            homing_slow_um_s: micro(b.homing_slow_mm_s),
+            homing_travel_um: micro(b.travel_mm * 1.07 + 1.0),
+            homing_backoff_um: base.homing_backoff_um.min(micro(b.travel_mm * 0.5)),
+            homing_tolerance_um: base.homing_tolerance_um.min(micro(b.travel_mm * 0.5)),
+            clearance_um: micro(b.clearance_mm),
+            run_up_um: micro(b.run_up_mm),
+            settle_us: micro(b.settle_ms),
+            exposure_input: if b.exposure_wired {
+                ExposureInput::Counted
+            } else {
+                ExposureInput::Unused
+            },
+            // A frame that is missing is found, named and shot again: no reason to stop.
+            missing_exposure: MissingExposure::Warning,
+            frame_time_us: micro(self.camera.frame_time_ms),
+            exposure_us: micro(exposure_ms),
+            laser_lead_us: micro(self.laser.lead_ms),
+            laser_manual_ms: micro(self.laser.manual_s),
+            ..base
+        }
+    }
+
+    /// The request for the scan of the hand.
+    pub fn scan_request(&self) -> ScanRequest {
+        let micro = |x: f64| (x * 1000.0).round() as u32;
+        ScanRequest {
+            start_um: micro(self.scan.start_mm) as i32,
+            spacing_um: micro(self.scan.spacing_mm),
+            count: self.scan.count,
+            speed_um_s: micro(self.scan.speed_mm_s),
+            mode: match self.scan.mode {
+                Mode::Stop => ScanMode::StopAndShoot,
+                Mode::Constant => ScanMode::Constant,
+                Mode::Ramped => ScanMode::Ramped,
+            },
+            laser: ScanLaser::Timed,
+        }
+    }
+
+    /// The request for the slide positions of one board pose.
+    pub fn light_request(&self) -> ScanRequest {
+        let micro = |x: f64| (x * 1000.0).round() as u32;
+        ScanRequest {
+            start_um: micro(self.light.start_mm) as i32,
+            spacing_um: micro(self.light.spacing_mm),
+            count: self.light.count,
+            speed_um_s: 0,
+            mode: ScanMode::StopAndShoot,
+            laser: ScanLaser::Timed,
+        }
+    }
+
+    /// The calibration target.
+    pub fn geometry(&self) -> BoardGeometry {
+        BoardGeometry {
+            columns: self.checkerboard.columns,
+            rows: self.checkerboard.rows,
+            square_mm: self.checkerboard.square_mm,
+        }
+    }
+
+    /// Steps as mm of slide.
+    pub fn mm(&self, steps: i64) -> f64 {
+        let [n, d] = self.board.steps_per_mm;
+        steps as f64 * f64::from(d) / f64::from(n)
+    }
+
+    /// Which profile is simulated (checked by [`Rig::check`]).
+    pub fn profile(&self) -> Profile {
+        self.simulation.profile.parse().unwrap_or(Profile::Nominal)
+    }
+}
+
+/// The key in the file behind a field of the board's configuration.
+fn key_of(field: Field) -> &'static str {
+    match field {
+        Field::StepsNumerator | Field::StepsDenominator => "board.steps_per_mm",
+        Field::Travel | Field::HomingTravel => "board.travel_mm",
+        Field::MaxSpeed => "board.max_speed_mm_s",
+        Field::Acceleration => "board.acceleration_mm_s2",
+        Field::HomingFast => "board.homing_fast_mm_s",
+        Field::HomingSlow => "board.homing_slow_mm_s",
+        Field::HomingBackoff | Field::HomingTolerance => "board.travel_mm",
+        Field::Clearance => "board.clearance_mm",
+        Field::RunUp => "board.run_up_mm",
+        Field::TriggerPulse | Field::FrameTime => "camera.frame_time_ms",
+        Field::Exposure | Field::ExposureDelay => "camera.exposure_laser_ms",
+        Field::Settle => "board.settle_ms",
+        Field::LaserLead => "laser.lead_ms",
+        Field::LaserLease | Field::LaserManual => "laser.manual_s",
+        Field::Heartbeat | Field::Telemetry => "board",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Rig, ConfigError> {
+        Rig::parse(text, Path::new("rig.toml"))
+    }
+
+    #[test]
+    fn the_example_says_every_default() {
+        let rig = parse(EXAMPLE).unwrap();
+        assert_eq!(rig, Rig::default());
+        assert_eq!(rig, parse("").unwrap());
+        // Every key that there is stands in the example.
+        let all: toml::Table = toml::from_str(&toml::to_string(&rig).unwrap()).unwrap();
+        let example: toml::Table = toml::from_str(EXAMPLE).unwrap();
+        for (table, keys) in all {
+            for key in keys.as_table().unwrap().keys() {
+                assert!(example[&table].get(key).is_some(), "{table}.{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_key() {
+        for (text, words) in [
+            ("[board]\nspeed = 3", "line 2: unknown field `speed`"),
+            ("[camera]\nkind = \"usb\"", "line 2: unknown variant `usb`"),
+            ("[camera]\nexposure_laser_ms = 0.0", "camera.exposure_laser_ms is 0: give 0.001 to 1000"),
+            ("[board]\nsteps_per_mm = [0, 1]", "board.steps_per_mm is 0"),
+            ("[board]\nsteps_per_mm = [800, 1]\nmax_speed_mm_s = 900.0", "board.max_speed_mm_s is 900000"),
+            ("[scan]\ncount = 200", "scan.count is 200: give fewer positions: the last would lie at 398 mm"),
+            ("[checkerboard]\ncolumns = 5", "checkerboard.rows is 6"),
+            ("[simulation]\nprofile = \"easy\"", "simulation.profile is \"easy\""),
+            ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
+            ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
+            ("[board\n", "line 1"),
+        ] {
+            let said = parse(text).unwrap_err().to_string();
+            assert!(said.starts_with("rig.toml: ") && said.contains(words), "{text}: {said}");
+            assert!(!said.contains('\n'));
+        }
+    }
+
+    #[test]
+    fn numbers_go_to_the_board_without_rounding() {
+        let rig = parse("[board]\nsteps_per_mm = [2032, 5]\n[scan]\nspacing_mm = 1.5").unwrap();
+        let config = rig.board_config(rig.camera.exposure_laser_ms);
+        assert_eq!(config.steps_per_mm, StepsPerMm { numerator: 2032, denominator: 5 });
+        assert_eq!(config.exposure_us, 5000);
+        assert_eq!(rig.scan_request().spacing_um, 1500);
+        assert!((rig.mm(2032) - 5.0).abs() < 1e-12);
+        config.validate().unwrap();
+    }
+}
