@@ -1,6 +1,7 @@
 //! Cameras behind one small trait: frames with a sequence number and a time stamp.
 
 use crate::image::Image;
+use cannula_shared::message::Trigger;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -90,6 +91,11 @@ pub trait Camera: Send {
     /// themselves, need none and do nothing.
     fn fire(&mut self) -> Result<(), CameraError> {
         Ok(())
+    }
+    /// The ledger's next line. Only a camera that exists in this process alone needs it, to learn
+    /// what its trigger cable would have told it.
+    fn ledger(&mut self, trigger: &Trigger) {
+        let _ = trigger;
     }
     /// Ends what [`Camera::arm`] began.
     fn disarm(&mut self) -> Result<(), CameraError> {

@@ -1,3 +1,16 @@
 //! The rig: what moves, lights and looks.
+//!
+//! ```text
+//!  link::Board ── ledger ──┐
+//!                          ├─► acquisition (matching: frame ↔ trigger) ─► writer, pipeline
+//!  Camera ─────── frames ──┘
+//! ```
 
+pub mod acquisition;
+pub mod camera;
+pub mod folder;
+pub mod config;
 pub mod link;
+pub mod matching;
+pub mod simulated;
+pub mod writer;

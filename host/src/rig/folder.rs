@@ -1,0 +1,185 @@
+//! Images of a folder, or of a recording, as if a camera took them.
+
+use super::acquisition::{Ledger, LedgerEvent};
+use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
+use super::link::LinkError;
+use crate::session::{self, Depth};
+use cannula_shared::message::Trigger;
+use cannula_shared::units::{Micros, Steps};
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Time from one frame to the next where a recording does not say, µs.
+const SPACING_US: i64 = 40_000;
+/// The replayed camera's clock stands this far from the board's, as a camera's would.
+const CLOCK_US: i64 = 7_000_000;
+
+/// Frames from files, in order; each comes once.
+pub struct FolderCamera {
+    name: String,
+    size: (u32, u32),
+    /// File and time on the camera's clock.
+    files: VecDeque<(PathBuf, i64)>,
+    sequence: u64,
+    /// In a replay: frames whose lines of the ledger have come, and that are not yet taken.
+    due: Option<usize>,
+}
+
+impl FolderCamera {
+    /// The PNG and JPEG images of a folder in the order of their names.
+    pub fn open(folder: &Path) -> Result<Self, CameraError> {
+        let fail = |reason: String| CameraError::NotFound(folder.display().to_string(), reason);
+        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+            .map_err(|e| fail(e.to_string()))?
+            .filter_map(|entry| Some(entry.ok()?.path()))
+            .filter(|path| {
+                let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+                ["png", "jpg", "jpeg"].contains(&extension.to_lowercase().as_str())
+            })
+            .collect();
+        files.sort();
+        let stamped = files.into_iter().zip(0..).map(|(f, i)| (f, i * SPACING_US)).collect();
+        Self::with(folder.display().to_string(), stamped)
+    }
+
+    /// A replay: given files with the times of their triggers, µs of the board's clock. Each comes
+    /// once its line of the ledger has.
+    pub fn of(name: String, files: Vec<(PathBuf, i64)>) -> Result<Self, CameraError> {
+        let stamped = files.into_iter().map(|(f, t)| (f, t + CLOCK_US)).collect();
+        let camera = Self::with(name, stamped)?;
+        Ok(Self { due: Some(0), ..camera })
+    }
+
+    fn with(name: String, files: VecDeque<(PathBuf, i64)>) -> Result<Self, CameraError> {
+        let Some((first, _)) = files.front() else {
+            return Err(CameraError::NotFound(name, "no images there".into()));
+        };
+        let header = session::header(first).map_err(|e| CameraError::Image {
+            path: first.clone(),
+            reason: e.to_string(),
+        })?;
+        Ok(Self {
+            name,
+            size: (header.width, header.height),
+            files,
+            sequence: 0,
+            due: None,
+        })
+    }
+}
+
+impl Camera for FolderCamera {
+    fn description(&self) -> String {
+        format!("images of {}", self.name)
+    }
+
+    fn size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    fn arm(&mut self, _exposure: &Exposure) -> Result<(), CameraError> {
+        Ok(())
+    }
+
+    fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        match &mut self.due {
+            Some(0) => return Ok(None),
+            Some(due) => *due -= 1,
+            // Nothing waits in a folder while nobody asks for it.
+            None if timeout.is_zero() => return Ok(None),
+            None => {}
+        }
+        let Some((path, time_us)) = self.files.pop_front() else {
+            return Ok(None);
+        };
+        let picture = read(&path)?;
+        self.sequence += 1;
+        Ok(Some(Frame {
+            sequence: self.sequence,
+            time_us,
+            picture: Some(picture),
+        }))
+    }
+
+    fn ledger(&mut self, _trigger: &Trigger) {
+        if let Some(due) = &mut self.due {
+            *due += 1;
+        }
+    }
+}
+
+/// Reads a picture of 8 or 16 bits as grey.
+pub fn read(path: &Path) -> Result<Picture, CameraError> {
+    let fail = |e: session::SessionError| CameraError::Image {
+        path: path.to_owned(),
+        reason: e.to_string(),
+    };
+    let depth = session::header(path).map_err(fail)?.depth;
+    let raw = session::decode(path).map_err(fail)?;
+    match depth {
+        Depth::Sixteen => raw.luma().map(Picture::Sixteen),
+        Depth::Eight => raw.luma().map(Picture::Eight),
+    }
+    .ok_or_else(|| CameraError::Image {
+        path: path.to_owned(),
+        reason: "no grey can be made of it".into(),
+    })
+}
+
+/// The ledger of a recorded sweep.
+pub struct RecordedLedger {
+    lines: VecDeque<Trigger>,
+}
+
+impl RecordedLedger {
+    /// From a session's frames (whose images a [`FolderCamera::of`] gives with the same times).
+    /// `steps_per_mm` serves where the recording has no steps.
+    pub fn new(frames: &[session::Frame], steps_per_mm: f64) -> Self {
+        let lines = frames
+            .iter()
+            .zip(0..)
+            .map(|(frame, index)| Trigger {
+                job: 1,
+                index,
+                position: Steps(
+                    frame
+                        .slide_steps
+                        .unwrap_or((frame.slide_mm * steps_per_mm).round() as i64) as i32,
+                ),
+                time: Micros(trigger_us(frame, index) as u64),
+                laser: true,
+            })
+            .collect();
+        Self { lines }
+    }
+}
+
+/// When a recorded frame was triggered, µs of the board's clock.
+pub fn trigger_us(frame: &session::Frame, index: u32) -> i64 {
+    frame
+        .trigger_us
+        .and_then(|t| i64::try_from(t).ok())
+        .unwrap_or(1_000_000 + i64::from(index) * SPACING_US)
+}
+
+/// The anchor that goes with [`FolderCamera::of`].
+pub fn recorded_anchor(frames: &[session::Frame]) -> super::matching::Anchor {
+    let first = frames.first().map_or(0, |f| trigger_us(f, 0));
+    super::matching::Anchor::from_pair(first, first + CLOCK_US)
+}
+
+impl Ledger for RecordedLedger {
+    fn next(&mut self, _wait: Micros) -> Result<Option<LedgerEvent>, LinkError> {
+        Ok(Some(match self.lines.pop_front() {
+            Some(trigger) => LedgerEvent::Trigger(trigger),
+            None => LedgerEvent::End,
+        }))
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.lines.clear();
+        Ok(())
+    }
+}
+

@@ -1,0 +1,266 @@
+//! The simulated camera: renders the scene whenever its trigger edge comes, with the slide where
+//! the steps have truly put it and the laser as its pin truly stands.
+
+use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
+use crate::simulation::{Renderer, Still, Subject};
+use cannula_shared::message::Trigger;
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// The camera's clock runs this much faster than the board's, as crystals do.
+const DRIFT: f64 = 2.3e-5;
+/// What the camera's clock shows when the board's shows zero, µs.
+const EPOCH_US: f64 = 86_400_000_000.0;
+/// Exposures begin up to this long after their edge, µs.
+const JITTER_US: u64 = 40;
+
+/// A rising edge on the TRIGGER pin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// When, µs of the board's clock.
+    pub time_us: u64,
+    /// Where the slide truly stands, mm (from the step edges).
+    pub slide_mm: f64,
+    /// Whether the laser's pin is high.
+    pub laser: bool,
+}
+
+/// What becomes of an exposure, to test what the rig does about it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Fate {
+    /// It arrives.
+    #[default]
+    Fine,
+    /// The camera does not see the edge: no exposure, no count.
+    Ignored,
+    /// It is exposed and counted, but does not arrive.
+    Lost,
+    /// It arrives in part.
+    Broken,
+    /// It arrives twice.
+    Double,
+    /// It begins late by so many µs.
+    Late(i64),
+    /// It and what follows is held back until `wait` has timed out so many times.
+    Held(u32),
+}
+
+/// Decides the fate of the n-th edge (from 0) since the camera was made.
+pub type Fates = Box<dyn FnMut(u64) -> Fate + Send>;
+
+struct Pending {
+    sequence: u64,
+    time_us: i64,
+    picture: Option<Receiver<Picture>>,
+}
+
+struct State {
+    still: Option<Arc<Still>>,
+    exposure_ms: f64,
+    armed: bool,
+    edges: u64,
+    sequence: u64,
+    held: u32,
+    fates: Option<Fates>,
+    pending: VecDeque<Pending>,
+    /// Light planes of the frames taken with the laser on, for truth.json: slide in mm, D.
+    lit: Vec<(f64, f64)>,
+}
+
+/// What the simulated trigger cable is wired to, and the hand that puts things before the camera.
+#[derive(Clone)]
+pub struct Stage {
+    renderer: Arc<Renderer>,
+    state: Arc<Mutex<State>>,
+    laser_ms: f64,
+}
+
+impl Stage {
+    /// An empty stage. `laser_ms`: the exposure at which laser images are well exposed.
+    pub fn new(renderer: Arc<Renderer>, laser_ms: f64) -> Self {
+        Self {
+            renderer,
+            laser_ms,
+            state: Arc::new(Mutex::new(State {
+                still: None,
+                exposure_ms: laser_ms,
+                armed: false,
+                edges: 0,
+                sequence: 0,
+                held: 0,
+                fates: None,
+                pending: VecDeque::new(),
+                lit: Vec::new(),
+            })),
+        }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The renderer.
+    pub fn renderer(&self) -> &Arc<Renderer> {
+        &self.renderer
+    }
+
+    /// Puts something before the camera.
+    pub fn show(&self, subject: &Subject) {
+        let still = Arc::new(self.renderer.still(subject));
+        self.state().still = Some(still);
+    }
+
+    /// From now on edges have these fates.
+    pub fn inject(&self, fates: Fates) {
+        let mut state = self.state();
+        state.fates = Some(fates);
+        state.edges = 0;
+    }
+
+    /// The light planes of laser frames since the last call: slide by the steps, true D, mm.
+    pub fn take_lit(&self) -> Vec<(f64, f64)> {
+        std::mem::take(&mut self.state().lit)
+    }
+
+    /// A rising edge: exposes, if the camera is armed and something stands before it.
+    pub fn edge(&self, edge: Edge) {
+        let mut state = self.state();
+        let (Some(still), true) = (state.still.clone(), state.armed) else {
+            return;
+        };
+        let n = state.edges;
+        state.edges += 1;
+        let fate = state.fates.as_mut().map_or(Fate::Fine, |f| f(n));
+        if fate == Fate::Ignored {
+            return;
+        }
+        state.sequence += 1;
+        let sequence = state.sequence;
+        if fate == Fate::Lost {
+            return;
+        }
+        let late = if let Fate::Late(us) = fate { us } else { 0 };
+        if let Fate::Held(waits) = fate {
+            state.held = waits;
+        }
+        let jitter = sequence.wrapping_mul(0x9E37_79B9_7F4A_7C15) % JITTER_US;
+        let time = EPOCH_US + edge.time_us as f64 * (1.0 + DRIFT) + jitter as f64;
+        let scene = self.renderer.scene();
+        let plane = edge.laser.then(|| scene.lit_plane(edge.slide_mm, sequence));
+        if let Some(plane) = plane {
+            state.lit.push((edge.slide_mm, plane.d));
+        }
+        let exposure = state.exposure_ms / self.laser_ms;
+        let render = |renderer: Arc<Renderer>, still: Arc<Still>| {
+            let (send, receive) = channel();
+            rayon::spawn(move || {
+                let image = renderer.frame(&still, exposure, plane.as_ref(), sequence);
+                // Nobody waits any more: nothing is lost.
+                let _ = send.send(Picture::Eight(image));
+            });
+            receive
+        };
+        let copies = if fate == Fate::Double { 2 } else { 1 };
+        for _ in 0..copies {
+            let picture = (fate != Fate::Broken).then(|| render(self.renderer.clone(), still.clone()));
+            state.pending.push_back(Pending {
+                sequence,
+                time_us: time as i64 + late,
+                picture,
+            });
+        }
+    }
+}
+
+/// The camera at the end of the cable.
+pub struct SimulatedCamera {
+    stage: Stage,
+    /// Edges come from the ledger: the board is behind a port, and no cable leads here.
+    mm_per_step: Option<f64>,
+}
+
+impl SimulatedCamera {
+    /// A camera whose cable is fed by [`Stage::edge`].
+    pub fn new(stage: Stage) -> Self {
+        Self {
+            stage,
+            mm_per_step: None,
+        }
+    }
+
+    /// A camera that takes the ledger's lines for edges.
+    pub fn by_ledger(stage: Stage, mm_per_step: f64) -> Self {
+        Self {
+            stage,
+            mm_per_step: Some(mm_per_step),
+        }
+    }
+}
+
+impl Camera for SimulatedCamera {
+    fn description(&self) -> String {
+        let scene = self.stage.renderer.scene();
+        format!("simulated camera (seed {}, {})", scene.seed, scene.profile)
+    }
+
+    fn size(&self) -> (u32, u32) {
+        let camera = &self.stage.renderer.scene().camera;
+        (camera.width, camera.height)
+    }
+
+    fn arm(&mut self, exposure: &Exposure) -> Result<(), CameraError> {
+        let mut state = self.stage.state();
+        state.pending.clear();
+        state.held = 0;
+        state.exposure_ms = exposure.ms;
+        state.armed = true;
+        Ok(())
+    }
+
+    fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        let pending = {
+            let mut state = self.stage.state();
+            if state.held > 0 {
+                if !timeout.is_zero() {
+                    state.held -= 1;
+                }
+                return Ok(None);
+            }
+            state.pending.pop_front()
+        };
+        // Simulated time stands still while nobody serves the board: there is nothing to wait for.
+        let Some(pending) = pending else {
+            return Ok(None);
+        };
+        let picture = match pending.picture {
+            Some(receive) => Some(
+                receive
+                    .recv()
+                    .map_err(|_| CameraError::Failed("the renderer gave no image".into()))?,
+            ),
+            None => None,
+        };
+        Ok(Some(Frame {
+            sequence: pending.sequence,
+            time_us: pending.time_us,
+            picture,
+        }))
+    }
+
+    fn ledger(&mut self, trigger: &Trigger) {
+        if let Some(mm) = self.mm_per_step {
+            self.stage.edge(Edge {
+                time_us: trigger.time.0,
+                slide_mm: f64::from(trigger.position.0) * mm,
+                laser: trigger.laser,
+            });
+        }
+    }
+
+    fn disarm(&mut self) -> Result<(), CameraError> {
+        self.stage.state().armed = false;
+        Ok(())
+    }
+}
