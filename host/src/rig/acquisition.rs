@@ -43,7 +43,9 @@ pub enum AcquireError {
     #[error("interrupted: the laser is off and the slide stands; what was recorded is whole")]
     Interrupted,
     /// No frame comes.
-    #[error("{tries} triggers and no frame from the camera ({camera}): check the trigger cable, camera.trigger and camera.trigger_line")]
+    #[error(
+        "{tries} triggers and no frame from the camera ({camera}): check the trigger cable, camera.trigger and camera.trigger_line"
+    )]
     NoFrames {
         /// Triggers fired.
         tries: u32,
@@ -51,7 +53,9 @@ pub enum AcquireError {
         camera: String,
     },
     /// Frames come, but not when triggers fire.
-    #[error("the camera's frames do not follow the triggers (its clock and the board's disagree by {0:.1} ms from one trigger to the next): is camera.trigger what the camera is set to?")]
+    #[error(
+        "the camera's frames do not follow the triggers (its clock and the board's disagree by {0:.1} ms from one trigger to the next): is camera.trigger what the camera is set to?"
+    )]
     Unsteady(f64),
     /// The laser was off when it should have been on.
     #[error("the laser was off at trigger {0}: check interlock and laser supply")]
@@ -166,7 +170,10 @@ impl<'a> Acquisition<'a> {
 
     /// Tells board and camera how long exposures are, if that has changed.
     pub fn expose(&mut self, ms: f64) -> Result<(), AcquireError> {
-        let exposure = Exposure { ms, gain_db: self.rig.camera.gain_db };
+        let exposure = Exposure {
+            ms,
+            gain_db: self.rig.camera.gain_db,
+        };
         if self.armed != Some(exposure) {
             self.board.configure(&self.rig.board_config(ms))?;
             self.camera.arm(&exposure)?;
@@ -406,10 +413,19 @@ impl<'a> Acquisition<'a> {
     }
 
     /// A sweep with a camera that the board does not trigger: position by position.
-    fn sweep_by_camera(&mut self, request: &ScanRequest, sink: &mut Sink) -> Result<Sweep, AcquireError> {
+    fn sweep_by_camera(
+        &mut self,
+        request: &ScanRequest,
+        sink: &mut Sink,
+    ) -> Result<Sweep, AcquireError> {
         let steps_per_mm = self.rig.board_config(1.0).steps_per_mm;
-        let plan = TriggerPlan::new(steps_per_mm, request.start_um, request.spacing_um, request.count)
-            .map_err(|e| LinkError::Unexpected(format!("no such plan: {e:?}")))?;
+        let plan = TriggerPlan::new(
+            steps_per_mm,
+            request.start_um,
+            request.spacing_um,
+            request.count,
+        )
+        .map_err(|e| LinkError::Unexpected(format!("no such plan: {e:?}")))?;
         let mut sweep = Sweep {
             planned: request.count,
             ..Sweep::default()

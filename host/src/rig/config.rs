@@ -288,9 +288,9 @@ impl Rig {
     /// Parses and checks; `path` is for messages only.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
         let rig: Self = toml::from_str(text).map_err(|e| {
-            let line = e
-                .span()
-                .map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+            let line = e.span().map_or(0, |s| {
+                text[..s.start.min(text.len())].matches('\n').count() + 1
+            });
             ConfigError::Syntax {
                 path: path.to_owned(),
                 reason: format!("line {line}: {}", e.message().replace('\n', " ")),
@@ -314,28 +314,88 @@ impl Rig {
         let bounds: [(&'static str, f64, f64, f64); 24] = [
             ("board.travel_mm", self.board.travel_mm, 1e-3, 1e6),
             ("board.max_speed_mm_s", self.board.max_speed_mm_s, 1e-3, 1e4),
-            ("board.acceleration_mm_s2", self.board.acceleration_mm_s2, 1e-3, 1e6),
-            ("board.homing_fast_mm_s", self.board.homing_fast_mm_s, 1e-3, 1e4),
-            ("board.homing_slow_mm_s", self.board.homing_slow_mm_s, 1e-3, 1e4),
+            (
+                "board.acceleration_mm_s2",
+                self.board.acceleration_mm_s2,
+                1e-3,
+                1e6,
+            ),
+            (
+                "board.homing_fast_mm_s",
+                self.board.homing_fast_mm_s,
+                1e-3,
+                1e4,
+            ),
+            (
+                "board.homing_slow_mm_s",
+                self.board.homing_slow_mm_s,
+                1e-3,
+                1e4,
+            ),
             ("board.clearance_mm", self.board.clearance_mm, 0.0, 1e3),
             ("board.run_up_mm", self.board.run_up_mm, 0.0, 1e3),
             ("board.settle_ms", self.board.settle_ms, 0.0, 1e4),
-            ("camera.exposure_board_ms", self.camera.exposure_board_ms, 0.001, 1000.0),
-            ("camera.exposure_laser_ms", self.camera.exposure_laser_ms, 0.001, 1000.0),
+            (
+                "camera.exposure_board_ms",
+                self.camera.exposure_board_ms,
+                0.001,
+                1000.0,
+            ),
+            (
+                "camera.exposure_laser_ms",
+                self.camera.exposure_laser_ms,
+                0.001,
+                1000.0,
+            ),
             ("camera.gain_db", self.camera.gain_db, -20.0, 60.0),
-            ("camera.frame_time_ms", self.camera.frame_time_ms, 0.0, 10_000.0),
+            (
+                "camera.frame_time_ms",
+                self.camera.frame_time_ms,
+                0.0,
+                10_000.0,
+            ),
             ("camera.timeout_ms", self.camera.timeout_ms, 1.0, 60_000.0),
             ("laser.lead_ms", self.laser.lead_ms, 0.0, 1000.0),
             ("laser.manual_s", self.laser.manual_s, 0.001, 3600.0),
-            ("checkerboard.columns", self.checkerboard.columns as f64, 3.0, 60.0),
-            ("checkerboard.rows", self.checkerboard.rows as f64, 3.0, 60.0),
-            ("checkerboard.square_mm", self.checkerboard.square_mm, 0.5, 500.0),
-            ("light.start_mm", self.light.start_mm, 0.0, self.board.travel_mm),
+            (
+                "checkerboard.columns",
+                self.checkerboard.columns as f64,
+                3.0,
+                60.0,
+            ),
+            (
+                "checkerboard.rows",
+                self.checkerboard.rows as f64,
+                3.0,
+                60.0,
+            ),
+            (
+                "checkerboard.square_mm",
+                self.checkerboard.square_mm,
+                0.5,
+                500.0,
+            ),
+            (
+                "light.start_mm",
+                self.light.start_mm,
+                0.0,
+                self.board.travel_mm,
+            ),
             ("light.spacing_mm", self.light.spacing_mm, 1e-3, 1e3),
             ("light.count", f64::from(self.light.count), 1.0, 1000.0),
-            ("scan.start_mm", self.scan.start_mm, 0.0, self.board.travel_mm),
+            (
+                "scan.start_mm",
+                self.scan.start_mm,
+                0.0,
+                self.board.travel_mm,
+            ),
             ("scan.spacing_mm", self.scan.spacing_mm, 1e-3, 1e3),
-            ("scan.speed_mm_s", self.scan.speed_mm_s, 1e-3, self.board.max_speed_mm_s),
+            (
+                "scan.speed_mm_s",
+                self.scan.speed_mm_s,
+                1e-3,
+                self.board.max_speed_mm_s,
+            ),
         ];
         for (key, value, low, high) in bounds {
             if !(low..=high).contains(&value) {
@@ -353,8 +413,18 @@ impl Rig {
             );
         }
         for (key, start, spacing, count) in [
-            ("light.count", self.light.start_mm, self.light.spacing_mm, self.light.count),
-            ("scan.count", self.scan.start_mm, self.scan.spacing_mm, self.scan.count),
+            (
+                "light.count",
+                self.light.start_mm,
+                self.light.spacing_mm,
+                self.light.count,
+            ),
+            (
+                "scan.count",
+                self.scan.start_mm,
+                self.scan.spacing_mm,
+                self.scan.count,
+            ),
         ] {
             let end = start + spacing * f64::from(count - 1);
             if end > self.board.travel_mm + 1e-9 {
@@ -377,7 +447,11 @@ impl Rig {
         }
         let folder_or_device = matches!(self.camera.kind, CameraKind::Folder | CameraKind::V4l);
         if folder_or_device && self.camera.device.is_empty() {
-            return fail("camera.device", "\"\"".into(), "the device or folder to take images from");
+            return fail(
+                "camera.device",
+                "\"\"".into(),
+                "the device or folder to take images from",
+            );
         }
         if let Err(e) = self.board_config(self.camera.exposure_laser_ms).validate() {
             return fail(
@@ -526,18 +600,33 @@ mod tests {
         for (text, words) in [
             ("[board]\nspeed = 3", "line 2: unknown field `speed`"),
             ("[camera]\nkind = \"usb\"", "line 2: unknown variant `usb`"),
-            ("[camera]\nexposure_laser_ms = 0.0", "camera.exposure_laser_ms is 0: give 0.001 to 1000"),
+            (
+                "[camera]\nexposure_laser_ms = 0.0",
+                "camera.exposure_laser_ms is 0: give 0.001 to 1000",
+            ),
             ("[board]\nsteps_per_mm = [0, 1]", "board.steps_per_mm is 0"),
-            ("[board]\nsteps_per_mm = [800, 1]\nmax_speed_mm_s = 900.0", "board.max_speed_mm_s is 900000"),
-            ("[scan]\ncount = 200", "scan.count is 200: give fewer positions: the last would lie at 398 mm"),
+            (
+                "[board]\nsteps_per_mm = [800, 1]\nmax_speed_mm_s = 900.0",
+                "board.max_speed_mm_s is 900000",
+            ),
+            (
+                "[scan]\ncount = 200",
+                "scan.count is 200: give fewer positions: the last would lie at 398 mm",
+            ),
             ("[checkerboard]\ncolumns = 5", "checkerboard.rows is 6"),
-            ("[simulation]\nprofile = \"easy\"", "simulation.profile is \"easy\""),
+            (
+                "[simulation]\nprofile = \"easy\"",
+                "simulation.profile is \"easy\"",
+            ),
             ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
             ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
             ("[board\n", "line 1"),
         ] {
             let said = parse(text).unwrap_err().to_string();
-            assert!(said.starts_with("rig.toml: ") && said.contains(words), "{text}: {said}");
+            assert!(
+                said.starts_with("rig.toml: ") && said.contains(words),
+                "{text}: {said}"
+            );
             assert!(!said.contains('\n'));
         }
     }
@@ -546,7 +635,13 @@ mod tests {
     fn numbers_go_to_the_board_without_rounding() {
         let rig = parse("[board]\nsteps_per_mm = [2032, 5]\n[scan]\nspacing_mm = 1.5").unwrap();
         let config = rig.board_config(rig.camera.exposure_laser_ms);
-        assert_eq!(config.steps_per_mm, StepsPerMm { numerator: 2032, denominator: 5 });
+        assert_eq!(
+            config.steps_per_mm,
+            StepsPerMm {
+                numerator: 2032,
+                denominator: 5
+            }
+        );
         assert_eq!(config.exposure_us, 5000);
         assert_eq!(rig.scan_request().spacing_um, 1500);
         assert!((rig.mm(2032) - 5.0).abs() < 1e-12);

@@ -39,7 +39,11 @@ impl FolderCamera {
             })
             .collect();
         files.sort();
-        let stamped = files.into_iter().zip(0..).map(|(f, i)| (f, i * SPACING_US)).collect();
+        let stamped = files
+            .into_iter()
+            .zip(0..)
+            .map(|(f, i)| (f, i * SPACING_US))
+            .collect();
         Self::with(folder.display().to_string(), stamped)
     }
 
@@ -48,7 +52,10 @@ impl FolderCamera {
     pub fn of(name: String, files: Vec<(PathBuf, i64)>) -> Result<Self, CameraError> {
         let stamped = files.into_iter().map(|(f, t)| (f, t + CLOCK_US)).collect();
         let camera = Self::with(name, stamped)?;
-        Ok(Self { due: Some(0), ..camera })
+        Ok(Self {
+            due: Some(0),
+            ..camera
+        })
     }
 
     fn with(name: String, files: VecDeque<(PathBuf, i64)>) -> Result<Self, CameraError> {
@@ -145,7 +152,8 @@ impl RecordedLedger {
                 position: Steps(
                     frame
                         .slide_steps
-                        .unwrap_or((frame.slide_mm * steps_per_mm).round() as i64) as i32,
+                        .unwrap_or((frame.slide_mm * steps_per_mm).round() as i64)
+                        as i32,
                 ),
                 time: Micros(trigger_us(frame, index) as u64),
                 laser: true,
@@ -182,4 +190,3 @@ impl Ledger for RecordedLedger {
         Ok(())
     }
 }
-

@@ -85,8 +85,15 @@ impl std::fmt::Display for Fault {
             Self::Double { trigger, sequence } => {
                 write!(f, "frame {sequence} is a second one for trigger {trigger}")
             }
-            Self::Late { trigger, sequence, by_ms } => {
-                write!(f, "frame {sequence} was exposed {by_ms:.1} ms off trigger {trigger}")
+            Self::Late {
+                trigger,
+                sequence,
+                by_ms,
+            } => {
+                write!(
+                    f,
+                    "frame {sequence} was exposed {by_ms:.1} ms off trigger {trigger}"
+                )
             }
             Self::Stray { sequence } => write!(f, "frame {sequence} belongs to no trigger"),
         }
@@ -201,7 +208,8 @@ impl Matcher {
         let sequence = frame.sequence;
         let distance = |i: usize| (self.triggers[i].time_us as f64 - due).abs();
         let after = self.triggers.partition_point(|t| (t.time_us as f64) < due);
-        let mut near: Vec<usize> = (after.saturating_sub(2)..(after + 2).min(self.triggers.len())).collect();
+        let mut near: Vec<usize> =
+            (after.saturating_sub(2)..(after + 2).min(self.triggers.len())).collect();
         near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         let Some(&i) = near.first() else {
             return Decision::Fault(Fault::Stray { sequence });
@@ -215,7 +223,11 @@ impl Matcher {
         if distance(i) > tolerance {
             return Decision::Fault(if distance(i) < 0.5 * second {
                 let by_ms = (due - self.triggers[i].time_us as f64) / 1000.0;
-                Fault::Late { trigger, sequence, by_ms }
+                Fault::Late {
+                    trigger,
+                    sequence,
+                    by_ms,
+                }
             } else {
                 Fault::Stray { sequence }
             });
@@ -265,7 +277,11 @@ impl Matcher {
             .collect();
         let drift = median(&mut slopes)?;
         let start = self.pairs[0].0;
-        let mut offsets: Vec<f64> = self.pairs.iter().map(|p| p.1 - drift * (p.0 - start)).collect();
+        let mut offsets: Vec<f64> = self
+            .pairs
+            .iter()
+            .map(|p| p.1 - drift * (p.0 - start))
+            .collect();
         Some((median(&mut offsets)?, drift))
     }
 }
@@ -279,7 +295,9 @@ fn median(values: &mut [f64]) -> Option<f64> {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unmatched {
     /// Shifted by a trigger, the frames would fit as well.
-    #[error("{frames} frames fit {triggers} triggers in more than one way; record again with an anchor (a trigger before the scan whose frame is known)")]
+    #[error(
+        "{frames} frames fit {triggers} triggers in more than one way; record again with an anchor (a trigger before the scan whose frame is known)"
+    )]
     Ambiguous {
         /// Frames.
         frames: usize,
@@ -391,10 +409,20 @@ mod tests {
                     if !again {
                         sequence += 1;
                     }
-                    frames.push((FrameStamp { sequence, time_us, whole }, k));
+                    frames.push((
+                        FrameStamp {
+                            sequence,
+                            time_us,
+                            whole,
+                        },
+                        k,
+                    ));
                 };
                 for (k, &(fate, gap, jitter)) in steps.iter().enumerate() {
-                    triggers.push(TriggerStamp { index: k as u32, time_us: time });
+                    triggers.push(TriggerStamp {
+                        index: k as u32,
+                        time_us: time,
+                    });
                     let stamp = camera(time, jitter);
                     match fate {
                         Fate::Fine => push(stamp, true, k, false),
@@ -409,7 +437,12 @@ mod tests {
                     time += gap;
                 }
                 let fates = steps.iter().map(|s| s.0).collect();
-                Case { triggers, fates, frames, anchor }
+                Case {
+                    triggers,
+                    fates,
+                    frames,
+                    anchor,
+                }
             })
     }
 
@@ -469,7 +502,10 @@ mod tests {
 
     fn even(n: usize, gap: i64, from: i64) -> Vec<TriggerStamp> {
         (0..n)
-            .map(|k| TriggerStamp { index: k as u32, time_us: from + k as i64 * gap })
+            .map(|k| TriggerStamp {
+                index: k as u32,
+                time_us: from + k as i64 * gap,
+            })
             .collect()
     }
 
@@ -479,7 +515,11 @@ mod tests {
             .enumerate()
             .filter(|(k, _)| keep(*k))
             .enumerate()
-            .map(|(j, (_, t))| FrameStamp { sequence: j as u64, time_us: t.time_us + 5_000_000, whole: true })
+            .map(|(j, (_, t))| FrameStamp {
+                sequence: j as u64,
+                time_us: t.time_us + 5_000_000,
+                whole: true,
+            })
             .collect()
     }
 
@@ -491,13 +531,24 @@ mod tests {
             let frames = frames_of(&triggers, |k| k != lost);
             assert_eq!(
                 find_anchor(&triggers, &frames),
-                Err(Unmatched::Ambiguous { frames: 30, triggers: 31 })
+                Err(Unmatched::Ambiguous {
+                    frames: 30,
+                    triggers: 31
+                })
             );
         }
         // One in the middle leaves a gap that fits in one way.
         let frames = frames_of(&triggers, |k| k != 12);
-        assert_eq!(find_anchor(&triggers, &frames).unwrap().offset_us, 5_000_000.0);
-        assert_eq!(find_anchor(&triggers, &frames_of(&triggers, |_| true)).unwrap().offset_us, 5_000_000.0);
+        assert_eq!(
+            find_anchor(&triggers, &frames).unwrap().offset_us,
+            5_000_000.0
+        );
+        assert_eq!(
+            find_anchor(&triggers, &frames_of(&triggers, |_| true))
+                .unwrap()
+                .offset_us,
+            5_000_000.0
+        );
         assert!(find_anchor(&triggers, &[]).is_err());
     }
 
@@ -508,7 +559,9 @@ mod tests {
             let mut m = Matcher::new(Anchor::from_pair(700_000, 5_700_200));
             triggers.iter().for_each(|t| m.trigger(*t));
             m.complete();
-            frames_of(&triggers, |k| k % 2 == odd).into_iter().for_each(|f| m.frame(f));
+            frames_of(&triggers, |k| k % 2 == odd)
+                .into_iter()
+                .for_each(|f| m.frame(f));
             while let Some((frame, decision)) = m.decide() {
                 assert_eq!(decision, Decision::Pair(2 * frame.sequence as usize + odd));
             }
@@ -524,7 +577,9 @@ mod tests {
         let mut m = Matcher::new(Anchor::from_pair(0, 5_000_000));
         triggers.iter().for_each(|t| m.trigger(*t));
         m.complete();
-        frames_of(&triggers, |_| true).into_iter().for_each(|f| m.frame(f));
+        frames_of(&triggers, |_| true)
+            .into_iter()
+            .for_each(|f| m.frame(f));
         let mut strays = 0;
         while let Some((_, decision)) = m.decide() {
             strays += usize::from(matches!(decision, Decision::Fault(Fault::Stray { .. })));
@@ -538,12 +593,20 @@ mod tests {
         let mut m = Matcher::new(Anchor::from_pair(-100_000, -100_000 + 77));
         for (j, t) in triggers.iter().enumerate() {
             m.trigger(*t);
-            let time_us = t.time_us + 77 + (t.time_us as f64 * 1e-4) as i64 + (j as i64 % 3 - 1) * 20;
-            m.frame(FrameStamp { sequence: j as u64, time_us, whole: true });
+            let time_us =
+                t.time_us + 77 + (t.time_us as f64 * 1e-4) as i64 + (j as i64 % 3 - 1) * 20;
+            m.frame(FrameStamp {
+                sequence: j as u64,
+                time_us,
+                whole: true,
+            });
         }
         m.complete();
         while m.decide().is_some() {}
         let (offset, drift) = m.clock().unwrap();
-        assert!((drift - 1e-4).abs() < 2e-5 && (offset - 77.0).abs() < 60.0, "{offset} {drift}");
+        assert!(
+            (drift - 1e-4).abs() < 2e-5 && (offset - 77.0).abs() < 60.0,
+            "{offset} {drift}"
+        );
     }
 }

@@ -8,8 +8,8 @@
 
 pub mod acquisition;
 pub mod camera;
-pub mod folder;
 pub mod config;
+pub mod folder;
 pub mod link;
 pub mod matching;
 pub mod simulated;

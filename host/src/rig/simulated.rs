@@ -164,7 +164,8 @@ impl Stage {
         };
         let copies = if fate == Fate::Double { 2 } else { 1 };
         for _ in 0..copies {
-            let picture = (fate != Fate::Broken).then(|| render(self.renderer.clone(), still.clone()));
+            let picture =
+                (fate != Fate::Broken).then(|| render(self.renderer.clone(), still.clone()));
             state.pending.push_back(Pending {
                 sequence,
                 time_us: time as i64 + late,

@@ -92,7 +92,12 @@ impl Writer {
     }
 
     fn check(&self) -> Result<(), WriteError> {
-        match &*self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner) {
+        match &*self
+            .shared
+            .failure
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+        {
             Some(failure) => Err(failure.clone()),
             None => Ok(()),
         }
@@ -126,7 +131,13 @@ fn work(jobs: &Mutex<Receiver<Job>>, shared: &Shared) {
     loop {
         let job = jobs.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok((path, picture)) = job else { return };
-        let failed = || shared.failure.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        let failed = || {
+            shared
+                .failure
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .is_some()
+        };
         if failed() {
             continue;
         }
@@ -135,7 +146,10 @@ fn work(jobs: &Mutex<Receiver<Job>>, shared: &Shared) {
                 shared.files.fetch_add(1, Ordering::Relaxed);
             }
             Err(reason) => {
-                let mut failure = shared.failure.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut failure = shared
+                    .failure
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner);
                 failure.get_or_insert(WriteError { path, reason });
             }
         }
@@ -172,7 +186,9 @@ mod tests {
     use crate::image::Image;
 
     fn picture(seed: u8) -> Picture {
-        let pixels = (0..64 * 48u32).map(|i| (i as u8).wrapping_mul(31) ^ seed).collect();
+        let pixels = (0..64 * 48u32)
+            .map(|i| (i as u8).wrapping_mul(31) ^ seed)
+            .collect();
         Picture::Eight(Image::from_vec(64, 48, pixels).unwrap())
     }
 
@@ -181,7 +197,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = Writer::new(2, 4).unwrap();
         for i in 0..40u8 {
-            writer.push(dir.path().join(format!("scan/{i:03}.png")), picture(i)).unwrap();
+            writer
+                .push(dir.path().join(format!("scan/{i:03}.png")), picture(i))
+                .unwrap();
         }
         assert_eq!(writer.finish().unwrap().files, 40);
         for i in 0..40u8 {
@@ -189,7 +207,10 @@ mod tests {
             let read: Image<u8> = session::decode(&path).unwrap().luma().unwrap();
             assert_eq!(Picture::Eight(read), picture(i));
         }
-        assert_eq!(std::fs::read_dir(dir.path().join("scan")).unwrap().count(), 40);
+        assert_eq!(
+            std::fs::read_dir(dir.path().join("scan")).unwrap().count(),
+            40
+        );
     }
 
     #[test]
@@ -207,7 +228,10 @@ mod tests {
             std::thread::sleep(Duration::from_millis(1));
         }
         let failure = failure.expect("must be told").to_string();
-        assert!(failure.contains("scan/0") && failure.contains("whole"), "{failure}");
+        assert!(
+            failure.contains("scan/0") && failure.contains("whole"),
+            "{failure}"
+        );
         assert!(writer.finish().is_err());
     }
 }
