@@ -10,12 +10,14 @@ use crate::calibration::{Covariance, PARAMETERS};
 use crate::geometry::{PARAMETERS as CAMERA, Vector3, tangent_basis};
 use nalgebra::Vector4;
 
-/// |a| is the cosine between travel and plane normal; more is impossible, this much is rounding.
-const LARGEST_A: f64 = 1.02;
-/// Below, the slide would move at more than 26° to the plane's normal.
-const LEAST_A: f64 = 0.9;
-/// Below (14°) it is named.
-const ODD_A: f64 = 0.97;
+/// |a| is the cosine between travel and plane normal. How far that angle may be from the one that
+/// the rig is built with: refused and named, radians.
+const ANGLE: (f64, f64) = (
+    15.0 * std::f64::consts::PI / 180.0,
+    8.0 * std::f64::consts::PI / 180.0,
+);
+/// How far |a| may be beyond the cosine for the tolerance of squares and steps: refused and named.
+const EXCESS: (f64, f64) = (0.02, 0.005);
 /// Standard deviation of the plane in the middle of the calibrated volume: refused, named, mm.
 const PLANE_SIGMA_MM: (f64, f64) = (0.3, 0.1);
 /// Hold-out error: refused, named, mm.
@@ -47,7 +49,13 @@ fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
         return;
     }
     let a = e.solution.rig.light.a.abs();
-    let refuse = a > LARGEST_A || (a < LEAST_A && !e.options.oblique_travel);
+    let expected = e.options.travel_angle.abs();
+    let within = |angle: f64, excess: f64| {
+        let least = (expected + angle).min(std::f64::consts::FRAC_PI_2).cos();
+        let most = (expected - angle).max(0.0).cos();
+        (least - excess..=most + excess).contains(&a)
+    };
+    let refuse = !within(ANGLE.0, EXCESS.0);
     if refuse {
         let near = |unit: f64| (a / unit).ln().abs() < 0.3;
         let guess = if near(1000.0) {
@@ -70,15 +78,15 @@ fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
             cause: Cause::TravelUnit,
             view: None,
             what: format!("the light plane moves by {a:.4} mm for each mm of the slide: {guess}"),
-            advice: "give the positions in mm and the square's true size (or declare the slide oblique to the light plane)".into(),
+            advice: "give the positions in mm and the square's true size, or the angle between travel and light plane if the rig is built with one".into(),
         });
-    } else if a < ODD_A {
+    } else if !within(ANGLE.1, EXCESS.1) {
         findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::ObliqueTravel,
             view: None,
             what: format!(
-                "the light plane moves by {a:.4} mm for each mm of the slide, as if it moved at {:.0}° to the plane's normal",
+                "the light plane moves by {a:.4} mm for each mm of the slide (an angle of {:.0}° between travel and normal)",
                 a.min(1.0).acos().to_degrees()
             ),
             advice: "check the positions' unit and the square's size if the rig is not built so".into(),
@@ -146,9 +154,9 @@ fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
                 cause: Cause::BadStripe,
                 view: Some(strand.view),
                 what: format!(
-                    "the stripe at {} mm lies {:.2} mm from its light plane ({:.0} % of it used)",
+                    "the stripe at {} mm lies {:.1} mm from its light plane ({:.0} % of it used)",
                     strand.slide_mm,
-                    e.report.strand_mm[k],
+                    e.report.strand_mm[k].abs(),
                     100.0 * used
                 ),
                 advice:

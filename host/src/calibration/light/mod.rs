@@ -62,11 +62,12 @@ pub enum CameraData<'a> {
 }
 
 /// What the gate is to expect of the rig.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Options {
-    /// The slide is known to move obliquely to the light plane. Otherwise |a| below 0.9 is taken
-    /// for a wrong unit, wrong steps per millimetre or a wrong square size, and refused.
-    pub oblique_travel: bool,
+    /// Angle between the light plane's normal and the slide's travel that the rig is built with,
+    /// radians. |a| is its cosine; an |a| that means an angle more than 15° away is taken for a
+    /// wrong unit, wrong steps per millimetre or a wrong square size, and refused.
+    pub travel_angle: f64,
 }
 
 /// One position's plane fitted on its own, before the common normal.
