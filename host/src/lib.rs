@@ -28,5 +28,6 @@ pub mod puncture;
 pub mod report;
 pub mod rig;
 pub mod session;
+pub mod simd;
 pub mod simulation;
 pub mod stripe;

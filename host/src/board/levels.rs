@@ -19,8 +19,13 @@ pub(super) fn depth_shift<P: Pixel>(image: &Image<P>) -> u32 {
     if P::BITS <= 8 {
         return 0;
     }
-    let brightest =
-        pulp::Arch::new().dispatch(|| image.pixels().iter().fold(0u16, |m, p| m.max(p.to_u16())));
+    let mut brightest = 0u16;
+    crate::simd::widest(
+        #[inline(always)]
+        || {
+            brightest = image.pixels().iter().fold(0u16, |m, p| m.max(p.to_u16()));
+        },
+    );
     (u16::BITS - brightest.leading_zeros()).saturating_sub(8)
 }
 
@@ -28,11 +33,14 @@ impl Level {
     /// Level 0: the image itself.
     pub fn full<P: Pixel>(image: &Image<P>, shift: u32) -> Self {
         let mut pixels = vec![0; image.width() * image.height()];
-        pulp::Arch::new().dispatch(|| {
-            for (out, p) in pixels.iter_mut().zip(image.pixels()) {
-                *out = ((u32::from(p.to_u16()) << 2) >> shift) as i16;
-            }
-        });
+        crate::simd::widest(
+            #[inline(always)]
+            || {
+                for (out, p) in pixels.iter_mut().zip(image.pixels()) {
+                    *out = ((u32::from(p.to_u16()) << 2) >> shift) as i16;
+                }
+            },
+        );
         Self {
             width: image.width(),
             height: image.height(),
@@ -45,26 +53,29 @@ impl Level {
     pub fn half<P: Pixel>(image: &Image<P>, shift: u32) -> Self {
         let (width, height) = (image.width() / 2, image.height() / 2);
         let mut pixels = vec![0; width * height];
-        pulp::Arch::new().dispatch(|| {
-            for (v, out) in pixels.chunks_exact_mut(width.max(1)).enumerate() {
-                let (upper, _) = image.row(2 * v).as_chunks::<2>();
-                let (lower, _) = image.row(2 * v + 1).as_chunks::<2>();
-                if P::BITS <= 8 {
-                    for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
-                        let sum = a[0].to_u16() + a[1].to_u16() + b[0].to_u16() + b[1].to_u16();
-                        *out = sum as i16;
-                    }
-                } else {
-                    for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
-                        let sum = u32::from(a[0].to_u16())
-                            + u32::from(a[1].to_u16())
-                            + u32::from(b[0].to_u16())
-                            + u32::from(b[1].to_u16());
-                        *out = (sum >> shift) as i16;
+        crate::simd::widest(
+            #[inline(always)]
+            || {
+                for (v, out) in pixels.chunks_exact_mut(width.max(1)).enumerate() {
+                    let (upper, _) = image.row(2 * v).as_chunks::<2>();
+                    let (lower, _) = image.row(2 * v + 1).as_chunks::<2>();
+                    if P::BITS <= 8 {
+                        for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
+                            let sum = a[0].to_u16() + a[1].to_u16() + b[0].to_u16() + b[1].to_u16();
+                            *out = sum as i16;
+                        }
+                    } else {
+                        for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
+                            let sum = u32::from(a[0].to_u16())
+                                + u32::from(a[1].to_u16())
+                                + u32::from(b[0].to_u16())
+                                + u32::from(b[1].to_u16());
+                            *out = (sum >> shift) as i16;
+                        }
                     }
                 }
-            }
-        });
+            },
+        );
         Self {
             width,
             height,
@@ -77,15 +88,18 @@ impl Level {
     pub fn coarser(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut pixels = vec![0i16; width * height];
-        pulp::Arch::new().dispatch(|| {
-            for (v, out) in pixels.chunks_exact_mut(width.max(1)).enumerate() {
-                let (upper, _) = self.row(2 * v).as_chunks::<2>();
-                let (lower, _) = self.row(2 * v + 1).as_chunks::<2>();
-                for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
-                    *out = (a[0] + a[1] + b[0] + b[1] + 2) >> 2;
+        crate::simd::widest(
+            #[inline(always)]
+            || {
+                for (v, out) in pixels.chunks_exact_mut(width.max(1)).enumerate() {
+                    let (upper, _) = self.row(2 * v).as_chunks::<2>();
+                    let (lower, _) = self.row(2 * v + 1).as_chunks::<2>();
+                    for ((out, a), b) in out.iter_mut().zip(upper).zip(lower) {
+                        *out = (a[0] + a[1] + b[0] + b[1] + 2) >> 2;
+                    }
                 }
-            }
-        });
+            },
+        );
         Self {
             width,
             height,

@@ -1,7 +1,7 @@
 //! The noise of a board's image, from what the corner model leaves over; and pixels that are not
 //! of the board at all.
 
-use super::edge_model::{index, residuals};
+use super::edge_model::index;
 use super::refine::Site;
 
 /// Standard deviations of the residual, grey: on dark and bright flats and on the edges between.
@@ -33,17 +33,15 @@ impl Noise {
         }
     }
 
-    /// From all sites' residuals: spread of the middle (robust), then of what lies within four of
+    /// From all sites' residuals ([`Site::look`]): spread of the middle (robust), then of what lies within four of
     /// those. Every third pixel serves.
     pub fn estimate(sites: &[Site]) -> Self {
         let mut groups: [Vec<f32>; 3] = Default::default();
-        let (mut residual, mut pattern) = (Vec::new(), Vec::new());
         for site in sites {
-            residuals(&site.patch, &site.parameters, &mut residual, &mut pattern);
             let sign = site.parameters.free[index::HALF].signum() as f32;
             for i in (0..site.patch.len).step_by(3) {
                 if site.patch.weight[i] > 0.0 {
-                    groups[group(pattern[i] * sign)].push(residual[i].abs());
+                    groups[group(site.pattern[i] * sign)].push(site.residual[i].abs());
                 }
             }
         }
@@ -71,13 +69,11 @@ impl Noise {
 
     /// Sets the weights of a site's pixels that are not masked.
     pub fn weigh(&self, site: &mut Site) {
-        let (mut residual, mut pattern) = (Vec::new(), Vec::new());
-        residuals(&site.patch, &site.parameters, &mut residual, &mut pattern);
         let sign = site.parameters.free[index::HALF].signum() as f32;
         let inverse = [self.dark, self.edge, self.bright].map(|s| (1.0 / s) as f32);
         for i in 0..site.patch.len {
             if site.patch.weight[i] > 0.0 {
-                site.patch.weight[i] = inverse[group(pattern[i] * sign)];
+                site.patch.weight[i] = inverse[group(site.pattern[i] * sign)];
             }
         }
     }
@@ -97,8 +93,6 @@ fn group(pattern: f32) -> usize {
 /// Leaves out pixels that fit neither square nor edge, with their surroundings, if there are more
 /// of them than chance gives. Returns whether any were. `strict`: no slack on top of the noise.
 pub(super) fn mask_foreign(site: &mut Site, noise: &Noise, strict: bool) -> bool {
-    let (mut residual, mut pattern) = (Vec::new(), Vec::new());
-    residuals(&site.patch, &site.parameters, &mut residual, &mut pattern);
     let half = site.parameters.free[index::HALF];
     let slack = if strict {
         0.0
@@ -109,8 +103,8 @@ pub(super) fn mask_foreign(site: &mut Site, noise: &Noise, strict: bool) -> bool
     let n = site.patch.len;
     let foreign: Vec<usize> = (0..n)
         .filter(|&i| {
-            let limit = FOREIGN * noise.of(pattern[i] * sign) + slack;
-            f64::from(residual[i].abs()) > limit
+            let limit = FOREIGN * noise.of(site.pattern[i] * sign) + slack;
+            f64::from(site.residual[i].abs()) > limit
         })
         .collect();
     site.patch.weight[..n].fill(1.0);

@@ -5,7 +5,7 @@
 //! In a point-symmetric patch the position decouples from blur, angles and grey levels, so that
 //! they may be wrong together without moving it.
 
-use super::edge_model::{FREE, Normal, Parameters, Patch, accumulate, index};
+use super::edge_model::{FREE, Normal, Parameters, Patch, accumulate, index, residuals};
 use super::layout::Layout;
 use super::noise::{Noise, mask_foreign};
 use super::{BoardGeometry, Corner, Detection, NotFound, Quality};
@@ -38,6 +38,9 @@ pub(super) struct Site {
     /// Whether the fit can be believed so far.
     sound: bool,
     pub(super) masked: f64,
+    /// Value − model and K of each pixel of the patch when last looked at.
+    pub(super) residual: Vec<f32>,
+    pub(super) pattern: Vec<f32>,
 }
 
 impl Site {
@@ -134,11 +137,15 @@ impl Site {
         self.patch.finish();
     }
 
-    /// Gauss–Newton steps until the position moves by less than `enough`; `None` when the fit fails.
-    fn fit(&mut self, steps: usize, enough: f64) -> Option<()> {
+    /// Gauss–Newton steps until the position moves by less than `enough`; `None` when the fit
+    /// fails. Returns the last step's normal equations, and the weighted square sum of the residual
+    /// that they predict after it.
+    fn fit(&mut self, steps: usize, enough: f64) -> Option<(Normal, f64)> {
+        let mut last = None;
         for _ in 0..steps {
             let normal = accumulate(&self.patch, &self.parameters);
             let mut delta = solve(&normal)?;
+            let gain: f64 = (0..FREE).map(|i| delta[i] * normal.products[i][FREE]).sum();
             let sigma = self.sigma();
             // No farther than the linearisation holds.
             let moved = delta[index::X].hypot(delta[index::Y]);
@@ -157,11 +164,23 @@ impl Site {
             if !f.iter().all(|x| x.is_finite()) {
                 return None;
             }
+            let left = (normal.products[FREE][FREE] - gain).max(0.0);
+            last = Some((normal, left));
             if moved < enough {
                 break;
             }
         }
-        Some(())
+        last
+    }
+
+    /// Brings residual and pattern up to date.
+    pub(super) fn look(&mut self) {
+        residuals(
+            &self.patch,
+            &self.parameters,
+            &mut self.residual,
+            &mut self.pattern,
+        );
     }
 
     /// How far edges may be followed at this blur.
@@ -265,6 +284,8 @@ impl<'a, P: Pixel> Board<'a, P> {
             reach: [0.0; 4],
             sound: false,
             masked: 0.0,
+            residual: Vec::new(),
+            pattern: Vec::new(),
         };
         let mut board = Self {
             image,
@@ -466,6 +487,7 @@ impl<'a, P: Pixel> Board<'a, P> {
         let mut sound = true;
         for part in [0.35, 0.2, 0.12] {
             let noise = Noise::uniform(part * contrast / 4.5);
+            site.look();
             mask_foreign(site, &noise, true);
             sound &= site.fit(4, 0.01).is_some();
         }
@@ -518,31 +540,35 @@ impl<'a, P: Pixel> Board<'a, P> {
         for site in &mut self.sites {
             let reach = site.clear_reach();
             site.gather(image, reach, BAND * site.sigma() + 0.5);
-            let _ = site.fit(2, 0.01);
+            let _ = site.fit(3, 0.03);
         }
         self.bend();
+        self.sites.iter_mut().for_each(Site::look);
         let mut noise = Noise::estimate(&self.sites);
+        let mut masked = false;
         for site in &mut self.sites {
-            if mask_foreign(site, &noise, false) {
-                for _ in 0..2 {
-                    let _ = site.fit(3, 0.002);
-                    mask_foreign(site, &noise, false);
-                }
+            let mut rounds = 0;
+            while mask_foreign(site, &noise, false) && rounds < 3 {
+                let _ = site.fit(3, 0.002);
+                site.look();
+                rounds += 1;
+                masked = true;
             }
         }
-        if self.sites.iter().any(|s| s.masked > 0.0) {
+        if masked {
             noise = Noise::estimate(&self.sites);
         }
         let mut quality = Quality::default();
         let mut corners = Vec::with_capacity(self.sites.len());
         for site in &mut self.sites {
             noise.weigh(site);
-            let fitted = site.fit(2, 2e-3);
-            let normal = accumulate(&site.patch, &site.parameters);
             let used = site.patch.weight.iter().filter(|&&w| w > 0.0).count();
             let freedom = used.saturating_sub(FREE).max(1) as f64;
-            let misfit = (normal.products[FREE][FREE] / freedom).sqrt();
-            let covariance = fitted.and_then(|()| position_covariance(&normal));
+            let fitted = site.fit(3, 0.01);
+            let misfit = fitted
+                .as_ref()
+                .map_or(f64::INFINITY, |(_, left)| (left / freedom).sqrt());
+            let covariance = fitted.and_then(|(normal, _)| position_covariance(&normal));
             let Some(covariance) = covariance.filter(|c| c.iter().all(|x| x.is_finite())) else {
                 return Err(NotFound::Hidden {
                     hidden: 1,

@@ -48,17 +48,20 @@ pub(super) fn response(level: &Level) -> Vec<i16> {
         return out;
     }
     let n = w - 2 * RADIUS;
-    pulp::Arch::new().dispatch(|| {
-        for y in RADIUS..h - RADIUS {
-            let at = |(dx, dy): (isize, isize)| {
-                let start = (y.wrapping_add_signed(dy)) * w + RADIUS.wrapping_add_signed(dx);
-                &level.pixels[start..start + n]
-            };
-            let ring = RING.map(at);
-            let near = [(1, 0), (-1, 0), (0, 1), (0, -1)].map(at);
-            row_response(&ring, &near, &mut out[y * w + RADIUS..y * w + RADIUS + n]);
-        }
-    });
+    crate::simd::widest(
+        #[inline(always)]
+        || {
+            for y in RADIUS..h - RADIUS {
+                let at = |(dx, dy): (isize, isize)| {
+                    let start = (y.wrapping_add_signed(dy)) * w + RADIUS.wrapping_add_signed(dx);
+                    &level.pixels[start..start + n]
+                };
+                let ring = RING.map(at);
+                let near = [(1, 0), (-1, 0), (0, 1), (0, -1)].map(at);
+                row_response(&ring, &near, &mut out[y * w + RADIUS..y * w + RADIUS + n]);
+            }
+        },
+    );
     out
 }
 
