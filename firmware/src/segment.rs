@@ -8,6 +8,9 @@ use crate::ramp::Cursor;
 use crate::words::{MAX_WORD_CYCLES, MAX_WORD_STEPS, StepWord};
 use cannula_shared::units::Cycles;
 
+/// [`MAX_WORD_CYCLES`], which is far below 2^32.
+const LONGEST: u32 = MAX_WORD_CYCLES.0 as u32;
+
 /// Streams the step words of a profile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segments {
@@ -87,18 +90,18 @@ impl Iterator for Segments {
         if self.steps >= n {
             return None;
         }
-        let (interval, count) = if self.steps >= r && self.steps < n - r {
+        let (interval, count, lasts) = if self.steps >= r && self.steps < n - r {
             let interval = self.profile.cruise_interval();
-            let longest = u32::try_from(MAX_WORD_CYCLES.0).unwrap_or(u32::MAX) / interval;
-            (
-                interval,
-                longest.clamp(1, MAX_WORD_STEPS).min(n - r - self.steps),
-            )
+            let longest = LONGEST / interval;
+            let count = longest.clamp(1, MAX_WORD_STEPS).min(n - r - self.steps);
+            (interval, count, u64::from(count) * u64::from(interval))
         } else {
             let end = if self.steps < r { r } else { n };
             let interval = self.interval();
             let mut count = 1u32;
+            // Sums instead of products: the CPU has no long multiplication.
             let mut total = interval;
+            let mut lasts = interval;
             while self.steps + count < end {
                 // The cursor stands on the edge `steps + count`.
                 let next = if end == r {
@@ -107,19 +110,17 @@ impl Iterator for Segments {
                     self.cursor.down()
                 };
                 total = total.saturating_add(next);
-                if next != interval
-                    || count == MAX_WORD_STEPS
-                    || u64::from(total) > MAX_WORD_CYCLES.0
-                {
+                if next != interval || count == MAX_WORD_STEPS || total > LONGEST {
                     self.ahead = Some(next);
                     break;
                 }
                 count += 1;
+                lasts = total;
             }
-            (interval, count)
+            (interval, count, u64::from(lasts))
         };
         self.steps += count;
-        self.time += u64::from(count) * u64::from(interval);
+        self.time += lasts;
         StepWord::new(count, interval)
     }
 }

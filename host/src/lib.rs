@@ -31,3 +31,4 @@ pub mod session;
 pub mod simd;
 pub mod simulation;
 pub mod stripe;
+pub mod uf2;

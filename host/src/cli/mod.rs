@@ -10,6 +10,7 @@ mod output;
 mod process;
 mod puncture;
 mod simulate;
+mod uf2;
 
 pub use output::Output;
 
@@ -38,6 +39,8 @@ enum Command {
     Puncture(puncture::Args),
     /// Recordings of the simulated rig, with their truth.
     Simulate(simulate::Args),
+    /// The board's program as a file for its USB boot loader.
+    Uf2(uf2::Args),
 }
 
 fn run(command: Command, out: &Output) -> anyhow::Result<()> {
@@ -47,6 +50,7 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Process(args) => process::run(args, out),
         Command::Puncture(args) => puncture::run(args, out),
         Command::Simulate(args) => simulate::run(args, out),
+        Command::Uf2(args) => uf2::run(args, out),
     }
 }
 

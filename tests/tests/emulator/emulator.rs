@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::edges::Edges;
@@ -172,19 +173,75 @@ impl Shared {
 
     /// Its USB.
     pub fn pipe(&self) -> UsbPipe {
-        UsbPipe(self.clone())
+        UsbPipe { emulator: self.clone(), noise: None }
+    }
+
+    /// Its USB with a bad cable: of 1000 pieces, so many are damaged in each direction.
+    pub fn lossy_pipe(&self, damaged_of_1000: u64, seed: u64) -> UsbPipe {
+        let noise = Noise { state: seed, damaged_of_1000, damaged: Default::default() };
+        UsbPipe { emulator: self.clone(), noise: Some(noise) }
+    }
+}
+
+/// Drops, flips, doubles bytes and whole pieces of the stream.
+pub struct Noise {
+    state: u64,
+    damaged_of_1000: u64,
+    /// How many pieces have been damaged.
+    pub damaged: Arc<AtomicU64>,
+}
+
+impl Noise {
+    /// Numbers from 0 to `n` − 1 (splitmix64).
+    fn below(&mut self, n: u64) -> u64 {
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.state;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ z >> 31) % n.max(1)
+    }
+
+    fn pass(&mut self, bytes: &mut Vec<u8>) {
+        if bytes.is_empty() || self.below(1000) >= self.damaged_of_1000 {
+            return;
+        }
+        self.damaged.fetch_add(1, Ordering::Relaxed);
+        let at = self.below(bytes.len() as u64) as usize;
+        match self.below(4) {
+            0 => {
+                bytes.remove(at);
+            }
+            1 => bytes[at] ^= 1 << self.below(8),
+            2 => bytes.insert(at, bytes[at]),
+            _ => bytes.clear(),
+        }
     }
 }
 
 /// The emulated board's USB, on the board's own time.
-pub struct UsbPipe(Shared);
+pub struct UsbPipe {
+    emulator: Shared,
+    noise: Option<Noise>,
+}
+
+impl UsbPipe {
+    /// Counts the damaged pieces.
+    pub fn damaged(&self) -> Arc<AtomicU64> {
+        self.noise.as_ref().map(|n| n.damaged.clone()).unwrap_or_default()
+    }
+}
 
 impl Pipe for UsbPipe {
     fn read(&mut self, buffer: &mut [u8], wait: Micros) -> io::Result<usize> {
-        let mut emulator = self.0.get();
+        let mut emulator = self.emulator.get();
         if emulator.incoming.is_empty() {
             // A wait of nothing still lets time pass: on virtual time nothing else does.
             emulator.run((wait.0 * PER_MICRO).max(1000))?;
+            if let Some(noise) = &mut self.noise {
+                let mut bytes = Vec::from_iter(emulator.incoming.drain(..));
+                noise.pass(&mut bytes);
+                emulator.incoming.extend(bytes);
+            }
         }
         let length = buffer.len().min(emulator.incoming.len());
         for (to, byte) in buffer.iter_mut().zip(emulator.incoming.drain(..length)) {
@@ -194,12 +251,16 @@ impl Pipe for UsbPipe {
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.0.get().outgoing.extend_from_slice(bytes);
+        let mut bytes = bytes.to_vec();
+        if let Some(noise) = &mut self.noise {
+            noise.pass(&mut bytes);
+        }
+        self.emulator.get().outgoing.extend(bytes);
         Ok(())
     }
 
     fn now(&mut self) -> Micros {
-        Micros(self.0.get().cycle / PER_MICRO)
+        Micros(self.emulator.get().cycle / PER_MICRO)
     }
 
     fn real_time(&self) -> bool {

@@ -10,11 +10,11 @@ mod rig;
 
 use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula_shared::hello::ResetReason;
-use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest};
+use cannula_shared::message::{ScanLaser, ScanMode};
 use cannula_shared::units::{Steps, StepsPerMm};
 
 use edges::{pin, range};
-use emulator::{Emulator, PER_MICRO, Shared};
+use emulator::{Emulator, PER_MICRO};
 use rig::{Rig, config, moves, nearest_step, on_the_fly, shape, triggers_on_steps};
 
 /// Cycles from a STEP edge to its trigger: two flip-flops of the input synchroniser, and the wait,
@@ -320,5 +320,44 @@ fn emergency_stop() -> Outcome {
     assert!(dark - cut <= 1_250, "dark within 10 µs");
     assert!(more <= 1);
     core::mem::forget(rig.board);
+    Ok(())
+}
+
+/// A hundred scans over a link that damages every twentieth piece, both ways: every trigger on the pin
+/// is in the ledger once, no command runs twice.
+#[test]
+fn hundred_scans_over_a_lossy_link() -> Outcome {
+    let Some(found) = emulator::find() else {
+        return Ok(());
+    };
+    const SCANS: u32 = 100;
+    let mut damaged = Default::default();
+    let rig = Rig::start_over(&found, config(StepsPerMm { numerator: 2032, denominator: 5 }, 100_000, 2_000_000), |emulator| {
+        let pipe = emulator.lossy_pipe(50, 20_261_122);
+        damaged = pipe.damaged();
+        pipe
+    })?;
+    let mark = rig.mark()?;
+    let mut fired = 0;
+    let mut jobs = Vec::new();
+    for n in 0..SCANS {
+        let (spacing_um, count) = (200 + 10 * (n % 7), 10 + n % 5);
+        let request = on_the_fly(1_000 + 100 * (n % 3) as i32, spacing_um, count, ScanMode::Ramped, ScanLaser::Timed);
+        let (ledger, summary) = rig.scan(&request)?;
+        assert_eq!((summary.planned, summary.fired, ledger.len() as u32), (count, count, count));
+        for (k, line) in ledger.iter().enumerate() {
+            let planned = nearest_step(rig.config.steps_per_mm, i64::from(request.start_um) + k as i64 * i64::from(spacing_um));
+            assert_eq!((line.index as usize, i64::from(line.position.0)), (k, planned), "scan {n}");
+        }
+        fired += ledger.len();
+        jobs.push(summary.job);
+    }
+    let edges = rig.emulator.get().edges()?;
+    let on_pin = triggers_on_steps(&edges, &mark);
+    println!("{SCANS} scans, {} damaged pieces, {} triggers on the pin, {fired} in the ledger", damaged.load(std::sync::atomic::Ordering::Relaxed), on_pin.len());
+    assert_eq!(on_pin.len(), fired, "no event lost or doubled, no scan run twice");
+    assert!(on_pin.iter().all(|t| t.0 == TRIGGER_OFFSET));
+    assert!(jobs.windows(2).all(|w| w[1] == w[0] + 1), "one job a command: {jobs:?}");
+    assert!(damaged.load(std::sync::atomic::Ordering::Relaxed) > 100, "the link was bad enough to prove something");
     Ok(())
 }

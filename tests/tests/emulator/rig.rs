@@ -6,7 +6,8 @@ use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest, ScanSummary, Tri
 use cannula_shared::units::StepsPerMm;
 
 use crate::edges::{Edges, intervals, pin};
-use crate::emulator::{Emulator, Shared};
+use crate::emulator::{Emulator, Shared, UsbPipe};
+use std::path::PathBuf;
 
 /// The clock.
 pub const HZ: f64 = 125e6;
@@ -49,7 +50,12 @@ pub fn config(steps_per_mm: StepsPerMm, rate: u64, acceleration: u64) -> Config 
 
 impl Rig {
     /// Powers up, configures and homes.
-    pub fn start(found: &(std::path::PathBuf, std::path::PathBuf), config: Config) -> Result<Self> {
+    pub fn start(found: &(PathBuf, PathBuf), config: Config) -> Result<Self> {
+        Self::start_over(found, config, Shared::pipe)
+    }
+
+    /// As [`Self::start`], over a pipe of one's own.
+    pub fn start_over(found: &(PathBuf, PathBuf), config: Config, pipe: impl FnOnce(&Shared) -> UsbPipe) -> Result<Self> {
         let mut emulator = Emulator::start(found)?;
         let steps = |um: u64| {
             um * u64::from(config.steps_per_mm.numerator)
@@ -57,7 +63,7 @@ impl Rig {
         };
         emulator.command(&format!("slide {} {}", steps(1_500), steps(320_000)))?;
         let emulator = Shared::new(emulator);
-        let board = Board::over(emulator.pipe())?;
+        let board = Board::over(pipe(&emulator))?;
         board.configure(&config)?;
         board.home()?;
         Ok(Self {
