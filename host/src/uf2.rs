@@ -38,7 +38,9 @@ pub enum Uf2Error {
     #[error("the ELF has nothing to load")]
     Empty,
     /// The RP2040's boot ROM would refuse the image.
-    #[error("the first 256 bytes are no second-stage boot loader (checksum {found:#010x}, not {right:#010x}): the board would not start")]
+    #[error(
+        "the first 256 bytes are no second-stage boot loader (checksum {found:#010x}, not {right:#010x}): the board would not start"
+    )]
     Boot2 {
         /// What stands there.
         found: u32,
@@ -71,7 +73,9 @@ fn pages(elf: &[u8]) -> Result<BTreeMap<u32, [u8; PAGE]>, Uf2Error> {
         if kind != LOAD || length == 0 {
             continue;
         }
-        let end = address.checked_add(length).ok_or(Uf2Error::OutsideFlash(address))?;
+        let end = address
+            .checked_add(length)
+            .ok_or(Uf2Error::OutsideFlash(address))?;
         if !FLASH.contains(&address) || end > FLASH.end {
             return Err(Uf2Error::OutsideFlash(address));
         }
@@ -97,7 +101,11 @@ fn boot2_checksum(bytes: &[u8]) -> u32 {
     bytes.iter().fold(0xffff_ffff, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte) << 24, |crc, _| {
             let shifted = crc << 1;
-            if crc >> 31 == 1 { shifted ^ 0x04c1_1db7 } else { shifted }
+            if crc >> 31 == 1 {
+                shifted ^ 0x04c1_1db7
+            } else {
+                shifted
+            }
         })
     })
 }
@@ -120,7 +128,16 @@ pub fn from_elf(elf: &[u8], family: u32) -> Result<Vec<u8>, Uf2Error> {
     let count = pages.len() as u32;
     let mut out = Vec::with_capacity(512 * pages.len());
     for (number, (&address, data)) in (0u32..).zip(&pages) {
-        let head = [0x0a32_4655, 0x9e5d_5157, 0x2000, address, PAGE as u32, number, count, family];
+        let head = [
+            0x0a32_4655,
+            0x9e5d_5157,
+            0x2000,
+            address,
+            PAGE as u32,
+            number,
+            count,
+            family,
+        ];
         for word in head {
             out.extend_from_slice(&word.to_le_bytes());
         }
@@ -169,7 +186,11 @@ mod tests {
             assert_eq!((word(5) as usize, word(6) as usize), (n, uf2.len() / 512));
             assert_eq!(word(3) % 256, 0, "pages");
             for (i, &byte) in block[32..288].iter().enumerate() {
-                assert_eq!(flash.insert(word(3) + i as u32, byte), None, "each page once");
+                assert_eq!(
+                    flash.insert(word(3) + i as u32, byte),
+                    None,
+                    "each page once"
+                );
             }
         }
         flash
@@ -179,7 +200,10 @@ mod tests {
     fn boot2_must_be_one() {
         let mut boot2: Vec<u8> = (0..252u32).map(|i| (i * 7) as u8).collect();
         let wrong = elf(&[(0x1000_0000, boot2.clone())]);
-        assert!(matches!(from_elf(&wrong, FAMILY_RP2040), Err(Uf2Error::Boot2 { found: 0, .. })));
+        assert!(matches!(
+            from_elf(&wrong, FAMILY_RP2040),
+            Err(Uf2Error::Boot2 { found: 0, .. })
+        ));
         // CRC-32/MPEG-2's published check value.
         assert_eq!(boot2_checksum(b"123456789"), 0x0376_e6e7);
         boot2.extend_from_slice(&boot2_checksum(&boot2).to_le_bytes());

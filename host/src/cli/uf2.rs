@@ -19,14 +19,20 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
-    let elf = std::fs::read(&args.elf).with_context(|| format!("{} cannot be read", args.elf.display()))?;
+    let elf = std::fs::read(&args.elf)
+        .with_context(|| format!("{} cannot be read", args.elf.display()))?;
     let family = if args.pico2 {
         uf2::FAMILY_RP2350_ARM_S
     } else {
         uf2::FAMILY_RP2040
     };
     let image = uf2::from_elf(&elf, family).with_context(|| args.elf.display().to_string())?;
-    std::fs::write(&args.out, &image).with_context(|| format!("{} cannot be written", args.out.display()))?;
-    out.detail(&format!("{}: {} pages", args.out.display(), image.len() / 512));
+    std::fs::write(&args.out, &image)
+        .with_context(|| format!("{} cannot be written", args.out.display()))?;
+    out.detail(&format!(
+        "{}: {} pages",
+        args.out.display(),
+        image.len() / 512
+    ));
     Ok(())
 }

@@ -173,13 +173,23 @@ impl Shared {
 
     /// Its USB.
     pub fn pipe(&self) -> UsbPipe {
-        UsbPipe { emulator: self.clone(), noise: None }
+        UsbPipe {
+            emulator: self.clone(),
+            noise: None,
+        }
     }
 
     /// Its USB with a bad cable: of 1000 pieces, so many are damaged in each direction.
     pub fn lossy_pipe(&self, damaged_of_1000: u64, seed: u64) -> UsbPipe {
-        let noise = Noise { state: seed, damaged_of_1000, damaged: Default::default() };
-        UsbPipe { emulator: self.clone(), noise: Some(noise) }
+        let noise = Noise {
+            state: seed,
+            damaged_of_1000,
+            damaged: Default::default(),
+        };
+        UsbPipe {
+            emulator: self.clone(),
+            noise: Some(noise),
+        }
     }
 }
 
@@ -227,7 +237,10 @@ pub struct UsbPipe {
 impl UsbPipe {
     /// Counts the damaged pieces.
     pub fn damaged(&self) -> Arc<AtomicU64> {
-        self.noise.as_ref().map(|n| n.damaged.clone()).unwrap_or_default()
+        self.noise
+            .as_ref()
+            .map(|n| n.damaged.clone())
+            .unwrap_or_default()
     }
 }
 

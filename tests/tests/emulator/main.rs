@@ -332,32 +332,73 @@ fn hundred_scans_over_a_lossy_link() -> Outcome {
     };
     const SCANS: u32 = 100;
     let mut damaged = Default::default();
-    let rig = Rig::start_over(&found, config(StepsPerMm { numerator: 2032, denominator: 5 }, 100_000, 2_000_000), |emulator| {
-        let pipe = emulator.lossy_pipe(50, 20_261_122);
-        damaged = pipe.damaged();
-        pipe
-    })?;
+    let rig = Rig::start_over(
+        &found,
+        config(
+            StepsPerMm {
+                numerator: 2032,
+                denominator: 5,
+            },
+            100_000,
+            2_000_000,
+        ),
+        |emulator| {
+            let pipe = emulator.lossy_pipe(50, 20_261_122);
+            damaged = pipe.damaged();
+            pipe
+        },
+    )?;
     let mark = rig.mark()?;
     let mut fired = 0;
     let mut jobs = Vec::new();
     for n in 0..SCANS {
         let (spacing_um, count) = (200 + 10 * (n % 7), 10 + n % 5);
-        let request = on_the_fly(1_000 + 100 * (n % 3) as i32, spacing_um, count, ScanMode::Ramped, ScanLaser::Timed);
+        let request = on_the_fly(
+            1_000 + 100 * (n % 3) as i32,
+            spacing_um,
+            count,
+            ScanMode::Ramped,
+            ScanLaser::Timed,
+        );
         let (ledger, summary) = rig.scan(&request)?;
-        assert_eq!((summary.planned, summary.fired, ledger.len() as u32), (count, count, count));
+        assert_eq!(
+            (summary.planned, summary.fired, ledger.len() as u32),
+            (count, count, count)
+        );
         for (k, line) in ledger.iter().enumerate() {
-            let planned = nearest_step(rig.config.steps_per_mm, i64::from(request.start_um) + k as i64 * i64::from(spacing_um));
-            assert_eq!((line.index as usize, i64::from(line.position.0)), (k, planned), "scan {n}");
+            let planned = nearest_step(
+                rig.config.steps_per_mm,
+                i64::from(request.start_um) + k as i64 * i64::from(spacing_um),
+            );
+            assert_eq!(
+                (line.index as usize, i64::from(line.position.0)),
+                (k, planned),
+                "scan {n}"
+            );
         }
         fired += ledger.len();
         jobs.push(summary.job);
     }
     let edges = rig.emulator.get().edges()?;
     let on_pin = triggers_on_steps(&edges, &mark);
-    println!("{SCANS} scans, {} damaged pieces, {} triggers on the pin, {fired} in the ledger", damaged.load(std::sync::atomic::Ordering::Relaxed), on_pin.len());
-    assert_eq!(on_pin.len(), fired, "no event lost or doubled, no scan run twice");
+    println!(
+        "{SCANS} scans, {} damaged pieces, {} triggers on the pin, {fired} in the ledger",
+        damaged.load(std::sync::atomic::Ordering::Relaxed),
+        on_pin.len()
+    );
+    assert_eq!(
+        on_pin.len(),
+        fired,
+        "no event lost or doubled, no scan run twice"
+    );
     assert!(on_pin.iter().all(|t| t.0 == TRIGGER_OFFSET));
-    assert!(jobs.windows(2).all(|w| w[1] == w[0] + 1), "one job a command: {jobs:?}");
-    assert!(damaged.load(std::sync::atomic::Ordering::Relaxed) > 100, "the link was bad enough to prove something");
+    assert!(
+        jobs.windows(2).all(|w| w[1] == w[0] + 1),
+        "one job a command: {jobs:?}"
+    );
+    assert!(
+        damaged.load(std::sync::atomic::Ordering::Relaxed) > 100,
+        "the link was bad enough to prove something"
+    );
     Ok(())
 }

@@ -55,7 +55,11 @@ impl Rig {
     }
 
     /// As [`Self::start`], over a pipe of one's own.
-    pub fn start_over(found: &(PathBuf, PathBuf), config: Config, pipe: impl FnOnce(&Shared) -> UsbPipe) -> Result<Self> {
+    pub fn start_over(
+        found: &(PathBuf, PathBuf),
+        config: Config,
+        pipe: impl FnOnce(&Shared) -> UsbPipe,
+    ) -> Result<Self> {
         let mut emulator = Emulator::start(found)?;
         let steps = |um: u64| {
             um * u64::from(config.steps_per_mm.numerator)
