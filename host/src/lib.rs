@@ -23,6 +23,8 @@ pub mod cloud;
 pub mod geometry;
 pub mod image;
 pub mod needle;
+pub mod output;
+pub mod pipeline;
 pub mod progress;
 pub mod puncture;
 pub mod report;

@@ -6,6 +6,7 @@
 
 mod angle;
 mod calibrate;
+mod job;
 mod output;
 mod process;
 mod puncture;

@@ -1,21 +1,63 @@
 //! `cannula process SESSION --out DIR`: calibration, angle and the report in one go.
 
 use super::Output;
+use super::job::{
+    MethodName, NeedleArgs, calibration_text, measure_and_write, measurement_text, needs_scan,
+};
+use crate::output::{CalibrationFile, write_json};
+use crate::pipeline::{Stage, Times, calibrate};
+use crate::session::Session;
 use std::path::PathBuf;
+use std::time::Instant;
 
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// The recording: a folder with session.json in it.
     session: PathBuf,
-    /// What to write.
-    #[arg(long)]
+    /// The folder to write into.
+    #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Which way to work.
+    #[arg(long, value_enum, default_value_t)]
+    method: MethodName,
+    #[command(flatten)]
+    needle: NeedleArgs,
 }
 
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
-    let session = crate::session::Session::open(&args.session)?;
-    out.detail(&format!("{} images", session.manifest.images().count()));
-    anyhow::bail!("{}: not written", args.out.display())
+    let begun = Instant::now();
+    let times = Times::default();
+    let session = Session::open(&args.session)?;
+    needs_scan(&session)?;
+    if session.manifest.light.is_empty() {
+        let remedy =
+            "record the board with the laser on it, or use `cannula angle` with a calibration";
+        return Err(session.missing("light", remedy).into());
+    }
+    let method = args.method.into();
+    let calibrated = calibrate(&session, method, &times, out)?;
+    let calibration = CalibrationFile::new(&calibrated, &args.session);
+    times.time(Stage::Write, || {
+        write_json(&args.out.join("calibration.json"), &calibration)
+    })?;
+    let (result, measured) = measure_and_write(
+        &session,
+        &calibration,
+        method,
+        &args.needle,
+        &args.out,
+        &times,
+        begun,
+        out,
+    )?;
+    out.result(&result, || {
+        format!(
+            "{}\n{}\nwritten: {}",
+            calibration_text(&calibrated),
+            measurement_text(&measured),
+            args.out.display()
+        )
+    })
 }

@@ -1,0 +1,98 @@
+//! Why no needle angle is given: each reason with its numbers and a remedy.
+
+/// Why no needle angle is given.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NeedleError {
+    /// The cloud is empty around the entry.
+    #[error(
+        "{points} points on {stripes} stripes in the entry region; {needed_points} on {needed_stripes} are needed: scan with smaller steps, or check laser and exposure"
+    )]
+    TooFewPoints {
+        /// Points in the region.
+        points: usize,
+        /// Stripes in the region.
+        stripes: usize,
+        /// Points needed.
+        needed_points: usize,
+        /// Stripes needed.
+        needed_stripes: usize,
+    },
+    /// The entry pixel does not look at the measured surface.
+    #[error(
+        "the entry pixel lies off the measured surface: the nearest point is {distance_mm:.1} mm away; check entry.pixel, or scan farther"
+    )]
+    OffSurface {
+        /// To the nearest measured point, mm.
+        distance_mm: f64,
+    },
+    /// The surface has a hole where the needle is to go in.
+    #[error(
+        "the measured surface has a hole of {gap_mm:.1} mm at the entry (at most {limit_mm:.1} mm are bridged): scan again there, or choose another entry"
+    )]
+    Hole {
+        /// Width of the hole, mm.
+        gap_mm: f64,
+        /// Widest that is bridged, mm.
+        limit_mm: f64,
+    },
+    /// Too much of the region was not measured.
+    #[error("only {:.0} % of the entry region was measured ({:.0} % are needed): scan again, or choose an entry farther from the edge", 100.0 * coverage, 100.0 * needed)]
+    NotCovered {
+        /// Part covered.
+        coverage: f64,
+        /// Part needed.
+        needed: f64,
+    },
+    /// The region is no plane.
+    #[error(
+        "the entry region is not flat: {rms_mm:.2} mm root mean square off its plane (at most {limit_mm:.2} mm); choose another entry or a smaller radius_mm"
+    )]
+    NotFlat {
+        /// Root mean square distance, mm.
+        rms_mm: f64,
+        /// Largest allowed, mm.
+        limit_mm: f64,
+    },
+    /// The camera looks along the surface.
+    #[error(
+        "the camera sees the entry region at {angle_deg:.0}° from its normal (at most {limit_deg:.0}°): turn the hand towards the camera"
+    )]
+    Oblique {
+        /// Angle between normal and line of sight, degrees.
+        angle_deg: f64,
+        /// Largest allowed, degrees.
+        limit_deg: f64,
+    },
+    /// The vein has no direction on the surface.
+    #[error(
+        "{met} of the vein's {given} pixels meet the measured surface and they give no direction: check entry.vein"
+    )]
+    NoVein {
+        /// Vein pixels that meet the surface.
+        met: usize,
+        /// Vein pixels given.
+        given: usize,
+    },
+    /// The result would not be sure enough.
+    #[error(
+        "the result is too uncertain: angle ±{angle_deg:.2}° (at most {angle_limit_deg:.2}°), entry ±{entry_mm:.2} mm (at most {entry_limit_mm:.2} mm); calibrate with more and more tilted board views"
+    )]
+    TooUncertain {
+        /// Standard deviation of the angle, degrees.
+        angle_deg: f64,
+        /// Largest allowed, degrees.
+        angle_limit_deg: f64,
+        /// Standard deviation of the entry, mm.
+        entry_mm: f64,
+        /// Largest allowed, mm.
+        entry_limit_mm: f64,
+    },
+    /// The lens model has no inverse at the entry pixel.
+    #[error(
+        "the calibration's lens model has no inverse at the entry pixel: calibrate with the board in that part of the image too"
+    )]
+    NoRay,
+    /// The points determine no plane.
+    #[error("the points of the entry region lie on one line: they determine no plane")]
+    Degenerate,
+}

@@ -1,0 +1,152 @@
+use super::*;
+use crate::calibration::RigModel;
+use crate::needle::plane::PlaneFit;
+use crate::needle::scene::{Hand, Noise, cloud, rig};
+use crate::needle::{EntryRequest, Settings, axis, decide};
+
+fn scene(seed: u64) -> (Hand, RigModel, EntryRequest) {
+    let (hand, rig) = (Hand::new(&mut Noise(seed)), rig());
+    let request = hand.request(&rig);
+    (hand, rig, request)
+}
+
+/// Noise-free stripes on hands of their own: what the interpolation alone costs.
+#[test]
+fn between_the_stripes_the_surface_is_right() {
+    let (mut tilt2, mut entry2, mut axis2) = (0.0, 0.0, 0.0);
+    let hands = 12;
+    for seed in 0..hands {
+        let (hand, rig, request) = scene(seed);
+        let mut cloud = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+        // The order of the points must not matter.
+        cloud.reverse();
+        let d = decide(&cloud, &rig, &request, &Settings::default()).unwrap();
+        let truth = PlaneFit::new(&hand.region()).unwrap().plane;
+        let tilt = d
+            .plane
+            .normal
+            .cross(&truth.normal)
+            .norm()
+            .asin()
+            .to_degrees();
+        let entry = (d.entry - hand.entry()).norm();
+        let vein = axis::into_plane(&axis::line(&hand.vein()).unwrap(), &truth.normal).unwrap();
+        let needle = vein * 30f64.to_radians().cos() + truth.normal * 30f64.to_radians().sin();
+        let turn = needle.cross(&d.needle.axis).norm().asin().to_degrees();
+        assert!(
+            tilt < 0.025 && entry < 0.012 && turn < 0.03,
+            "{seed}: {tilt} {entry} {turn}"
+        );
+        assert!(d.coverage > 0.999 && d.stripes >= 11);
+        tilt2 += tilt * tilt;
+        entry2 += entry * entry;
+        axis2 += turn * turn;
+    }
+    let n = hands as f64;
+    let rms = [(tilt2 / n).sqrt(), (entry2 / n).sqrt(), (axis2 / n).sqrt()];
+    println!(
+        "tilt {:.4}° entry {:.4} mm axis {:.4}°",
+        rms[0], rms[1], rms[2]
+    );
+    assert!(
+        rms[0] < 0.012 && rms[1] < 0.006 && rms[2] < 0.015,
+        "{rms:?}"
+    );
+}
+
+#[test]
+fn a_hole_at_the_entry_is_refused() {
+    let (hand, rig, request) = scene(3);
+    let mut points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    points.retain(|p| (p.position - hand.entry()).norm() > 4.5);
+    match decide(&points, &rig, &request, &Settings::default()) {
+        Err(NeedleError::Hole { gap_mm, limit_mm }) => assert!(gap_mm > 8.0 && limit_mm < 6.0),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn an_entry_beside_the_hand_is_refused() {
+    let (hand, rig, mut request) = scene(4);
+    let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    request.pixel += Vector2::new(150.0, 0.0); // 29 mm: the stripes end at 20 mm
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert!(
+        matches!(
+            said,
+            Err(NeedleError::OffSurface { .. } | NeedleError::TooFewPoints { .. })
+        ),
+        "{said:?}"
+    );
+    // At the edge: half of the region is missing.
+    request.pixel -= Vector2::new(55.0, 0.0);
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert!(
+        matches!(said, Err(NeedleError::NotCovered { .. })),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn too_few_stripes_and_no_vein_are_refused() {
+    let (hand, rig, mut request) = scene(5);
+    let mut points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    let said = decide(&[], &rig, &request, &Settings::default());
+    assert!(
+        matches!(said, Err(NeedleError::TooFewPoints { points: 0, .. })),
+        "{said:?}"
+    );
+    let vein = std::mem::take(&mut request.vein);
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert!(matches!(said, Err(NeedleError::NoVein { .. })), "{said:?}");
+    request.vein = vein;
+    points.retain(|p| p.frame % 7 == 0);
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert!(
+        matches!(said, Err(NeedleError::TooFewPoints { .. })),
+        "{said:?}"
+    );
+}
+
+/// A knuckle in the region: no plane, and it says so.
+#[test]
+fn a_region_that_is_not_flat_is_refused() {
+    let (hand, rig, request) = scene(6);
+    let mut points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    let entry = hand.entry();
+    for p in &mut points {
+        let d = (p.position - entry).norm() / 6.0;
+        p.position += p.position.coords.normalize() * (-6.0 * (-0.5 * d * d).exp());
+    }
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert!(matches!(said, Err(NeedleError::NotFlat { .. })), "{said:?}");
+}
+
+/// Points far off a stripe (a reflection that got through) must not tilt the plane.
+#[test]
+fn stray_points_do_not_tilt_the_plane() {
+    let (hand, rig, request) = scene(7);
+    let clean = cloud(&hand.stripes(&rig), &rig, 0.02, 3, &mut Noise(1));
+    let before = decide(&clean, &rig, &request, &Settings::default()).unwrap();
+    let mut dirty = clean.clone();
+    let frame = clean
+        .iter()
+        .find(|p| (p.position - hand.entry()).norm() < 6.0)
+        .unwrap()
+        .frame;
+    for p in dirty
+        .iter_mut()
+        .filter(|p| p.frame == frame && (p.position - hand.entry()).norm() < 9.0)
+    {
+        p.position += p.position.coords.normalize() * -6.0;
+    }
+    let after = decide(&dirty, &rig, &request, &Settings::default()).unwrap();
+    let tilt = before
+        .plane
+        .normal
+        .cross(&after.plane.normal)
+        .norm()
+        .asin()
+        .to_degrees();
+    assert!(tilt < 0.05, "{tilt}°");
+}

@@ -1,0 +1,213 @@
+//! result.json: what the contract fixes, and beside it how sure it is.
+
+use super::{rows, three};
+use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::needle::Decision;
+use crate::pipeline::Measurement;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The value of `format`.
+const FORMAT: &str = "cannula-result/1";
+
+/// Where the wanted angle comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AngleSource {
+    /// `--needle-angle`.
+    CommandLine,
+    /// The puncture decision.
+    Puncture,
+    /// Nobody asked: the program's default.
+    Default,
+}
+
+/// result.json.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ResultFile {
+    format: &'static str,
+    cloud: Cloud,
+    plane: Plane,
+    entry: Entry,
+    vein: Vein,
+    needle: Needle,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    robot: Option<Robot>,
+    method: &'static str,
+    /// What is weak, a sentence each.
+    pub warnings: Vec<String>,
+    /// Seconds a stage, summed over threads, and "wall".
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub seconds: BTreeMap<String, f64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Cloud {
+    points: usize,
+    file: String,
+    background_points: usize,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Plane {
+    normal: [f64; 3],
+    d: f64,
+    a: f64,
+    b: f64,
+    c: f64,
+    points: usize,
+    rms_mm: f64,
+    stripes: usize,
+    coverage: f64,
+    normal_sigma_deg: f64,
+    normal_covariance: [[f64; 3]; 3],
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Entry {
+    point_mm: [f64; 3],
+    pixel: [f64; 2],
+    radius_mm: f64,
+    sigma_mm: f64,
+    covariance_mm2: [[f64; 3]; 3],
+    parts_mm: Parts,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Vein {
+    direction: [f64; 3],
+    points_mm: Vec<[f64; 3]>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Needle {
+    angle_deg: f64,
+    axis: [f64; 3],
+    angle_sigma_deg: f64,
+    angle_source: AngleSource,
+    axis_sigma_deg: f64,
+    axis_covariance: [[f64; 3]; 3],
+    parts_deg: Parts,
+    path: Path,
+}
+
+/// What contributes to a standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct Parts {
+    calibration: f64,
+    stripe: f64,
+    sampling: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct Path {
+    start_mm: [f64; 3],
+    entry_mm: [f64; 3],
+    end_mm: [f64; 3],
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Robot {
+    point_mm: [f64; 3],
+    normal: [f64; 3],
+    direction: [f64; 3],
+    axis: [f64; 3],
+    path: Path,
+}
+
+fn parts(p: [f64; 3]) -> Parts {
+    Parts {
+        calibration: p[0],
+        stripe: p[1],
+        sampling: p[2],
+    }
+}
+
+fn path(d: &Decision, to: impl Fn(&Point3) -> Point3) -> Path {
+    let p = &d.needle.path;
+    let place = |q: &Point3| three(&to(q).coords);
+    Path {
+        start_mm: place(&p.start),
+        entry_mm: place(&p.entry),
+        end_mm: place(&p.end),
+    }
+}
+
+impl ResultFile {
+    /// From a measurement. `cloud` is the cloud's file name, `robot` the session's
+    /// `robot_from_camera`.
+    pub fn new(
+        m: &Measurement,
+        cloud: &str,
+        source: AngleSource,
+        method: crate::pipeline::Method,
+        robot: Option<&[[f64; 4]; 4]>,
+    ) -> Self {
+        let d = &m.decision;
+        let u = &d.uncertainty;
+        let [a, b, c] = d.abc();
+        Self {
+            format: FORMAT,
+            cloud: Cloud {
+                points: m.cloud.len(),
+                file: cloud.to_owned(),
+                background_points: m.background.len(),
+            },
+            plane: Plane {
+                normal: three(&d.plane.normal),
+                d: d.plane.d,
+                a,
+                b,
+                c,
+                points: d.points,
+                rms_mm: d.rms_mm,
+                stripes: d.stripes,
+                coverage: d.coverage,
+                normal_sigma_deg: u.normal_sigma().to_degrees(),
+                normal_covariance: rows(&u.normal),
+            },
+            entry: Entry {
+                point_mm: three(&d.entry.coords),
+                pixel: [m.request.pixel.x, m.request.pixel.y],
+                radius_mm: m.request.radius_mm,
+                sigma_mm: u.entry_sigma_mm(),
+                covariance_mm2: rows(&u.entry),
+                parts_mm: parts(u.entry_parts_mm),
+            },
+            vein: Vein {
+                direction: three(&d.direction),
+                points_mm: d.vein.iter().map(|p| three(&p.coords)).collect(),
+            },
+            needle: Needle {
+                angle_deg: d.needle.angle.to_degrees(),
+                axis: three(&d.needle.axis),
+                angle_sigma_deg: u.angle_sigma.to_degrees(),
+                angle_source: source,
+                axis_sigma_deg: u.axis_sigma().to_degrees(),
+                axis_covariance: rows(&u.axis),
+                parts_deg: parts(u.angle_parts.map(f64::to_degrees)),
+                path: path(d, |p| *p),
+            },
+            robot: robot.map(|t| Robot::new(d, t)),
+            method: method.name(),
+            warnings: m.warnings.clone(),
+            seconds: BTreeMap::new(),
+        }
+    }
+}
+
+impl Robot {
+    fn new(d: &Decision, t: &[[f64; 4]; 4]) -> Self {
+        let rotation = Matrix3::from_fn(|i, j| t[i][j]);
+        let shift = Vector3::new(t[0][3], t[1][3], t[2][3]);
+        let place = |p: &Point3| Point3::from(rotation * p.coords + shift);
+        let turn = |v: &Vector3| three(&(rotation * v).normalize());
+        Self {
+            point_mm: three(&place(&d.entry).coords),
+            normal: turn(&d.plane.normal),
+            direction: turn(&d.direction),
+            axis: turn(&d.needle.axis),
+            path: path(d, place),
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! From the scan's frames and a calibration to cloud and needle. [`Reconstruction`] takes frames
+//! one by one, so that a live scan and a recording go the same way.
+
+use super::Method;
+use super::error::PipelineError;
+use super::times::{Stage, Times};
+use crate::calibration::{RigModel, loss};
+use crate::cloud::{CloudPoint, Lost, triangulate};
+use crate::geometry::{Point3, Vector2};
+use crate::image::{Image, Pixel};
+use crate::needle::{self, Decision, EntryRequest, NeedleError, PlaneMethod};
+use crate::progress::Progress;
+use crate::session::{Depth, Entry, Frame, Session};
+use crate::stripe::hand::{self, HandSettings, Surface};
+use crate::stripe::{StripeError, StripePoint, paper};
+use rayon::prelude::*;
+
+/// What one frame gave.
+#[derive(Clone, Debug, Default)]
+pub struct FrameResult {
+    /// Points on the hand.
+    pub hand: Vec<CloudPoint>,
+    /// Points on the table behind it.
+    pub background: Vec<CloudPoint>,
+    /// Stripe points that gave no point in space.
+    pub lost: Lost,
+}
+
+/// A cloud that grows frame by frame.
+#[derive(Clone, Debug)]
+pub struct Reconstruction<P: Pixel> {
+    rig: RigModel,
+    method: Method,
+    ambient: Option<Image<P>>,
+    region: Option<paper::hand::Region>,
+    settings: HandSettings,
+    frames: u32,
+    /// Points on the hand, frame by frame.
+    pub cloud: Vec<CloudPoint>,
+    /// Points on the table behind it.
+    pub background: Vec<CloudPoint>,
+    /// Stripe points that gave no point in space.
+    pub lost: Lost,
+    /// Points on the hand a frame.
+    pub counts: Vec<usize>,
+}
+
+impl<P: Pixel> Reconstruction<P> {
+    /// For a rig; `ambient` is the scene without the laser.
+    pub fn new(rig: RigModel, method: Method, ambient: Option<Image<P>>) -> Self {
+        let region = match method {
+            Method::Paper => ambient.as_ref().map(paper::hand::region),
+            Method::Ml => None,
+        };
+        Self {
+            rig,
+            method,
+            ambient,
+            region,
+            settings: HandSettings::default(),
+            frames: 0,
+            cloud: Vec::new(),
+            background: Vec::new(),
+            lost: Lost::default(),
+            counts: Vec::new(),
+        }
+    }
+
+    /// Works on one frame without keeping its result: for callers that work on several at once.
+    ///
+    /// # Errors
+    /// An image of another size, or one that has no stripe where the ambient image has.
+    pub fn frame(
+        &self,
+        index: u32,
+        slide_mm: f64,
+        image: &Image<P>,
+        times: &Times,
+    ) -> Result<FrameResult, StripeError> {
+        match self.method {
+            Method::Ml => self.ml(index, slide_mm, image, times),
+            Method::Paper => Ok(self.paper(index, slide_mm, image, times)),
+        }
+    }
+
+    fn ml(
+        &self,
+        index: u32,
+        slide_mm: f64,
+        image: &Image<P>,
+        times: &Times,
+    ) -> Result<FrameResult, StripeError> {
+        let segments = times.time(Stage::HandStripe, || {
+            hand::extract(image, self.ambient.as_ref(), &self.settings)
+        })?;
+        let mut result = FrameResult::default();
+        times.time(Stage::Cloud, || {
+            for segment in &segments {
+                let onto = match segment.surface {
+                    Surface::Hand => &mut result.hand,
+                    Surface::Background => &mut result.background,
+                };
+                let lost = triangulate(
+                    &segment.points,
+                    segment.correlation,
+                    index,
+                    slide_mm,
+                    &self.rig,
+                    onto,
+                );
+                result.lost.no_ray += lost.no_ray;
+                result.lost.no_meeting += lost.no_meeting;
+            }
+        });
+        Ok(result)
+    }
+
+    fn paper(&self, index: u32, slide_mm: f64, image: &Image<P>, times: &Times) -> FrameResult {
+        let region = self.region.unwrap_or(paper::hand::Region {
+            u: 0,
+            v: 0,
+            width: image.width() as u32,
+            height: image.height() as u32,
+        });
+        let points: Vec<StripePoint> = times.time(Stage::HandStripe, || {
+            paper::hand::extract(image, &region, &paper::hand::Settings::default())
+        });
+        let mut result = FrameResult::default();
+        times.time(Stage::Cloud, || {
+            result.lost = triangulate(&points, 1.0, index, slide_mm, &self.rig, &mut result.hand);
+            // Eq. 11.
+            let pixels: Vec<Vector2> = result.hand.iter().map(|p| p.pixel).collect();
+            let mut places: Vec<Point3> = result.hand.iter().map(|p| p.position).collect();
+            let plane = self.rig.light.plane(slide_mm);
+            let settings = loss::Settings::default();
+            loss::minimise(
+                &self.rig.camera,
+                &pixels,
+                &mut places,
+                &plane,
+                false,
+                &settings,
+            );
+            for (point, place) in result.hand.iter_mut().zip(places) {
+                point.position = place;
+            }
+        });
+        result
+    }
+
+    /// Keeps a frame's result; frames come in the order of travel.
+    pub fn add(&mut self, mut result: FrameResult) {
+        self.counts.push(result.hand.len());
+        self.cloud.append(&mut result.hand);
+        self.background.append(&mut result.background);
+        self.lost.no_ray += result.lost.no_ray;
+        self.lost.no_meeting += result.lost.no_meeting;
+        self.frames += 1;
+    }
+
+    /// The next frame of a live scan; gives the number of points that it added.
+    ///
+    /// # Errors
+    /// As of [`Reconstruction::frame`].
+    pub fn push(
+        &mut self,
+        slide_mm: f64,
+        image: &Image<P>,
+        times: &Times,
+    ) -> Result<usize, StripeError> {
+        let result = self.frame(self.frames, slide_mm, image, times)?;
+        let points = result.hand.len();
+        self.add(result);
+        Ok(points)
+    }
+
+    /// Plane, entry and needle from what has been scanned.
+    ///
+    /// # Errors
+    /// Why no angle is given.
+    pub fn decide(
+        &self,
+        request: &EntryRequest,
+        settings: &needle::Settings,
+    ) -> Result<Decision, NeedleError> {
+        let mut settings = *settings;
+        if self.method == Method::Paper {
+            settings.method = PlaneMethod::Paper;
+        }
+        needle::decide(&self.cloud, &self.rig, request, &settings)
+    }
+}
+
+/// A measured hand and what is to be done on it.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    /// Points on the hand.
+    pub cloud: Vec<CloudPoint>,
+    /// Points on the table behind it.
+    pub background: Vec<CloudPoint>,
+    /// Points on the hand a frame.
+    pub counts: Vec<usize>,
+    /// The request, from session.json.
+    pub request: EntryRequest,
+    /// The needle.
+    pub decision: Decision,
+    /// What is weak, a sentence each.
+    pub warnings: Vec<String>,
+}
+
+impl From<&Entry> for EntryRequest {
+    fn from(entry: &Entry) -> Self {
+        let pixel = |p: &[f64; 2]| Vector2::new(p[0], p[1]);
+        Self {
+            pixel: pixel(&entry.pixel),
+            vein: entry.vein.iter().map(pixel).collect(),
+            radius_mm: entry.radius_mm,
+        }
+    }
+}
+
+/// Measures the hand of a recording. `calibrated` are the slide positions at which the rig's light
+/// planes were measured (empty if not known).
+///
+/// # Errors
+/// What is wrong with the recording, or why no angle is given.
+pub fn measure(
+    session: &Session,
+    rig: &RigModel,
+    calibrated: &[f64],
+    method: Method,
+    settings: &needle::Settings,
+    times: &Times,
+    progress: &dyn Progress,
+) -> Result<Measurement, PipelineError> {
+    match session.depth {
+        Depth::Eight => run::<u8>(session, rig, calibrated, method, settings, times, progress),
+        Depth::Sixteen => run::<u16>(session, rig, calibrated, method, settings, times, progress),
+    }
+}
+
+fn run<P: Pixel>(
+    session: &Session,
+    rig: &RigModel,
+    calibrated: &[f64],
+    method: Method,
+    settings: &needle::Settings,
+    times: &Times,
+    progress: &dyn Progress,
+) -> Result<Measurement, PipelineError> {
+    let manifest = &session.manifest;
+    let scan = manifest
+        .scan
+        .as_ref()
+        .ok_or_else(|| session.missing("scan", "record the hand with `cannula scan`"))?;
+    let entry = manifest.entry.as_ref().ok_or_else(|| {
+        session.missing(
+            "entry",
+            "give entry pixel, vein and radius from the vein imaging",
+        )
+    })?;
+    let warnings = belong_together(session, rig, calibrated, &scan.frames)?;
+    for warning in &warnings {
+        progress.warn(warning);
+    }
+    let read = |name: &String| {
+        times
+            .time(Stage::Read, || session.laser::<P>(name))
+            .map_err(PipelineError::from)
+    };
+    let ambient = scan.ambient.as_ref().map(read).transpose()?;
+    let mut whole = Reconstruction::new(rig.clone(), method, ambient);
+    progress.start("scan frames", scan.frames.len());
+    let results: Result<Vec<FrameResult>, PipelineError> = scan
+        .frames
+        .par_iter()
+        .enumerate()
+        .map(|(i, frame)| {
+            let image = read(&frame.image)?;
+            let result = whole
+                .frame(i as u32, frame.slide_mm, &image, times)
+                .map_err(|source| PipelineError::Stripe {
+                    path: session.path(&frame.image),
+                    source,
+                });
+            progress.step();
+            result
+        })
+        .collect();
+    progress.finish();
+    results?.into_iter().for_each(|result| whole.add(result));
+    let request = EntryRequest::from(entry);
+    let decision = times
+        .time(Stage::Needle, || whole.decide(&request, settings))
+        .map_err(|source| PipelineError::Needle {
+            path: session.file().to_owned(),
+            source,
+        })?;
+    Ok(Measurement {
+        cloud: whole.cloud,
+        background: whole.background,
+        counts: whole.counts,
+        request,
+        decision,
+        warnings,
+    })
+}
+
+/// Whether a scan can be worked on with a calibration; warnings where it can but should not.
+fn belong_together(
+    session: &Session,
+    rig: &RigModel,
+    calibrated: &[f64],
+    frames: &[Frame],
+) -> Result<Vec<String>, PipelineError> {
+    let mismatch = |what: String, remedy| PipelineError::Mismatch {
+        path: session.file().to_owned(),
+        what,
+        remedy,
+    };
+    let (size, camera) = (session.manifest.image, &rig.camera);
+    if (size.width, size.height) != (camera.width, camera.height) {
+        return Err(mismatch(
+            format!(
+                "its images are {} × {} pixels, the calibration is for {} × {}",
+                size.width, size.height, camera.width, camera.height
+            ),
+            "use a calibration of this camera at this image size",
+        ));
+    }
+    if rig.light.a == 0.0 && frames.len() > 1 {
+        return Err(mismatch(
+            "the calibration knows the light plane at one slide position only, the scan has more"
+                .to_owned(),
+            "calibrate with the slide at several positions",
+        ));
+    }
+    let range = |values: &mut dyn Iterator<Item = f64>| {
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+            (a.min(v), b.max(v))
+        })
+    };
+    let (low, high) = range(&mut calibrated.iter().copied());
+    let (first, last) = range(&mut frames.iter().map(|f| f.slide_mm));
+    if calibrated.len() < 2 || (first >= low - 1e-6 && last <= high + 1e-6) {
+        return Ok(Vec::new());
+    }
+    let reach = high - low;
+    let what = format!(
+        "the scan runs from {first} to {last} mm, the light planes were calibrated from {low} to {high} mm"
+    );
+    if first < low - 0.5 * reach || last > high + 0.5 * reach {
+        return Err(mismatch(
+            what,
+            "calibrate over the range that is scanned, and give both in mm of the same slide",
+        ));
+    }
+    Ok(vec![format!("{what}: depth beyond is extrapolated")])
+}

@@ -1,0 +1,234 @@
+//! Images of the board to corners and stripes.
+
+use super::error::PipelineError;
+use super::times::{Stage, Times};
+use super::{Method, calibration::Settings};
+use crate::board::{self, BoardGeometry, Corner, Detection};
+use crate::calibration::light::{BoardStripe, LightView};
+use crate::geometry::Vector2;
+use crate::image::{Image, Pixel};
+use crate::progress::Progress;
+use crate::session::{LightPose, Session};
+use crate::stripe::{self, StripeError, StripePoint};
+use rayon::prelude::*;
+
+/// A board image that gave corners, or why not.
+pub(super) struct Seen {
+    /// Its name in session.json.
+    pub name: String,
+    /// The board.
+    pub board: Result<Detection, board::NotFound>,
+}
+
+/// A light pose: its board and the stripes on it.
+pub(super) struct Swept {
+    /// The board, from the image without the laser or from all with it.
+    pub seen: Seen,
+    /// The stripes, in the order of session.json; empty without a board.
+    pub stripes: Vec<(String, f64, Result<Vec<StripePoint>, String>)>,
+}
+
+/// What all images of the board are worked on with.
+pub(super) struct Looker<'a> {
+    pub session: &'a Session,
+    pub board: BoardGeometry,
+    pub method: Method,
+    pub times: &'a Times,
+    pub progress: &'a dyn Progress,
+    pub settings: &'a Settings,
+}
+
+impl Looker<'_> {
+    fn detect<P: Pixel>(&self, image: &Image<P>) -> Result<Detection, board::NotFound> {
+        self.times.time(Stage::Corners, || {
+            let mut found = board::detect(image, &self.board)?;
+            if self.method == Method::Paper {
+                // OpenCV's corners, as the paper has them.
+                for corner in &mut found.corners {
+                    corner.pixel = board::subpixel::refine(image, corner.pixel);
+                }
+            }
+            Ok(found)
+        })
+    }
+
+    /// One pose of `camera`.
+    pub fn camera<P: Pixel>(&self, name: &str) -> Result<Seen, PipelineError> {
+        let image = self
+            .times
+            .time(Stage::Read, || self.session.luma::<P>(name))?;
+        let board = self.detect(&image);
+        self.progress.step();
+        Ok(Seen {
+            name: name.to_owned(),
+            board,
+        })
+    }
+
+    /// One pose of `light`, its `on` images in parallel.
+    pub fn light<P: Pixel>(&self, pose: &LightPose) -> Result<Swept, PipelineError> {
+        match &pose.off {
+            Some(off) => self.with_off::<P>(pose, off),
+            None => self.without_off::<P>(pose),
+        }
+    }
+
+    fn with_off<P: Pixel>(&self, pose: &LightPose, off: &str) -> Result<Swept, PipelineError> {
+        let (luma, laser) = self
+            .times
+            .time(Stage::Read, || self.session.both::<P>(off))?;
+        let seen = Seen {
+            name: off.to_owned(),
+            board: self.detect(&luma),
+        };
+        self.progress.step();
+        let background = laser.as_ref().unwrap_or(&luma);
+        let stripes = match &seen.board {
+            Err(_) => {
+                pose.on.iter().for_each(|_| self.progress.step());
+                Vec::new()
+            }
+            Ok(found) => {
+                let corners = pixels(&found.corners);
+                pose.on
+                    .par_iter()
+                    .map(|frame| {
+                        let on = self
+                            .times
+                            .time(Stage::Read, || self.session.laser::<P>(&frame.image))?;
+                        let points = self.stripe(&on, Some(background), &corners, &frame.image);
+                        self.progress.step();
+                        Ok((frame.image.clone(), frame.slide_mm, points?))
+                    })
+                    .collect::<Result<_, PipelineError>>()?
+            }
+        };
+        Ok(Swept {
+            seen,
+            stripes,
+        })
+    }
+
+    /// Corners and stripe both from the images with the laser.
+    fn without_off<P: Pixel>(&self, pose: &LightPose) -> Result<Swept, PipelineError> {
+        let looked: Vec<_> = pose
+            .on
+            .par_iter()
+            .map(|frame| {
+                let (luma, laser) = self
+                    .times
+                    .time(Stage::Read, || self.session.both::<P>(&frame.image))?;
+                let board = self.detect(&luma);
+                let stripe = match &board {
+                    Ok(found) => {
+                        let on = laser.as_ref().unwrap_or(&luma);
+                        self.stripe(on, None, &pixels(&found.corners), &frame.image)?
+                    }
+                    Err(reason) => Err(reason.to_string()),
+                };
+                self.progress.step();
+                Ok((board, stripe))
+            })
+            .collect::<Result<_, PipelineError>>()?;
+        let mut found: Vec<Detection> = Vec::new();
+        let mut failure = None;
+        let mut stripes = Vec::new();
+        for (frame, (board, stripe)) in pose.on.iter().zip(looked) {
+            match board {
+                Ok(mut detection) => {
+                    if let Some(first) = found.first() {
+                        board::align(&mut detection, first);
+                    }
+                    found.push(detection);
+                }
+                Err(reason) => failure = failure.or(Some(reason)),
+            }
+            stripes.push((frame.image.clone(), frame.slide_mm, stripe));
+        }
+        let name = pose
+            .on
+            .first()
+            .map_or_else(String::new, |f| f.image.clone());
+        let board = match merged(found) {
+            Some(board) => Ok(board),
+            None => Err(failure.unwrap_or(board::NotFound::NoCorners { seen: 0 })),
+        };
+        Ok(Swept {
+            seen: Seen { name, board },
+            stripes,
+        })
+    }
+
+    /// The stripe in one image. Outer error: the recording is wrong. Inner: this image is no use.
+    fn stripe<P: Pixel>(
+        &self,
+        on: &Image<P>,
+        off: Option<&Image<P>>,
+        corners: &[Vector2],
+        name: &str,
+    ) -> Result<Result<Vec<StripePoint>, String>, PipelineError> {
+        let (columns, rows) = (self.board.columns, self.board.rows);
+        self.times.time(Stage::BoardStripe, || match self.method {
+            Method::Ml => match stripe::board::extract(on, off, corners, columns, rows) {
+                Err(source @ (StripeError::Swapped | StripeError::Size { .. })) => {
+                    Err(PipelineError::Stripe {
+                        path: self.session.path(name),
+                        source,
+                    })
+                }
+                found => Ok(found.map_err(|e| e.to_string())),
+            },
+            Method::Paper => {
+                let settings = &self.settings.paper_board;
+                let found = stripe::paper::board::extract(on, off, corners, &self.board, settings);
+                Ok(found.map_err(|e| e.to_string()))
+            }
+        })
+    }
+}
+
+fn pixels(corners: &[Corner]) -> Vec<Vector2> {
+    corners.iter().map(|c| c.pixel).collect()
+}
+
+/// One board from several images of one pose: the median of each corner, which a stripe over it in
+/// one image does not move.
+fn merged(found: Vec<Detection>) -> Option<Detection> {
+    let mut first = found.first()?.clone();
+    let n = found.len();
+    for (i, corner) in first.corners.iter_mut().enumerate() {
+        let median = |of: fn(&Vector2) -> f64| {
+            let mut values: Vec<f64> = found.iter().map(|d| of(&d.corners[i].pixel)).collect();
+            values.sort_by(f64::total_cmp);
+            0.5 * (values[(n - 1) / 2] + values[n / 2])
+        };
+        corner.pixel = Vector2::new(median(|p| p.x), median(|p| p.y));
+        let mean: crate::geometry::Matrix2 = found.iter().map(|d| d.corners[i].covariance).sum();
+        // A median of n has π/2 times the variance of their mean.
+        let factor = if n > 2 {
+            std::f64::consts::FRAC_PI_2
+        } else {
+            1.0
+        };
+        corner.covariance = mean * (factor / (n * n) as f64);
+    }
+    Some(first)
+}
+
+/// What the light solve takes, from poses with a board.
+pub(super) fn light_view(swept: &Swept) -> Option<LightView> {
+    let board = swept.seen.board.as_ref().ok()?;
+    Some(LightView {
+        corners: board.corners.clone(),
+        stripes: swept
+            .stripes
+            .iter()
+            .filter_map(|(_, slide_mm, points)| {
+                points.as_ref().ok().map(|points| BoardStripe {
+                    slide_mm: *slide_mm,
+                    points: points.clone(),
+                })
+            })
+            .collect(),
+    })
+}
