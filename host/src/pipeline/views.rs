@@ -103,10 +103,7 @@ impl Looker<'_> {
                     .collect::<Result<_, PipelineError>>()?
             }
         };
-        Ok(Swept {
-            seen,
-            stripes,
-        })
+        Ok(Swept { seen, stripes })
     }
 
     /// Corners and stripe both from the images with the laser.
