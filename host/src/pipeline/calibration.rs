@@ -294,9 +294,8 @@ fn light_planes(
     };
     let light = match calibrated.method {
         Method::Ml => {
-            let angle = session.manifest.laser.and_then(|l| l.travel_angle_deg);
             let options = light::Options {
-                oblique_travel: angle.is_some_and(|a| a > 0.0),
+                travel_angle: travel_angle(session),
             };
             let found = light::calibrate(
                 &calibrated.zhang,
@@ -359,7 +358,10 @@ fn light_planes(
             }
         }
     };
-    travel_fits(session, &light).map_err(fail)?;
+    if calibrated.method == Method::Paper {
+        // The joint solve has a gate of its own.
+        travel_fits(session, &light).map_err(fail)?;
+    }
     calibrated.light = Some(light);
     Ok(())
 }
@@ -381,18 +383,19 @@ fn named<N>(names: Vec<N>, pairs: Vec<(Measures, Measures)>) -> Vec<(N, Measures
         .collect()
 }
 
+/// Angle between the slide's travel and the light plane's normal that the rig is built with, rad.
+fn travel_angle(session: &Session) -> f64 {
+    let laser = session.manifest.laser.unwrap_or_default();
+    laser.travel_angle_deg.unwrap_or(0.0).to_radians()
+}
+
 /// The planes must move as fast as the slide says: |a| is the cosine of the angle between travel
 /// and normal. Anything else is another unit, another screw, or another board than was described.
 fn travel_fits(session: &Session, light: &Light) -> Result<(), String> {
     if !light.travels {
         return Ok(());
     }
-    let angle = session
-        .manifest
-        .laser
-        .and_then(|l| l.travel_angle_deg)
-        .unwrap_or(0.0);
-    let expected = angle.to_radians().cos();
+    let expected = travel_angle(session).cos();
     let seen = light.model.a.abs();
     // 0.9 at right angles: a travel up to 25° off its normal.
     let (low, high) = (
