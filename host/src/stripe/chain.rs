@@ -175,9 +175,9 @@ pub(super) fn speckle(fits: &[Fit], noise: &Noise) -> f32 {
     }
     let middle = steps.len() / 2;
     let median = *steps.select_nth_unstable_by(middle, f32::total_cmp).1;
-    // Median of a squared deviate; a peak averages the speckle of about two grains.
+    // The median of a squared normal deviate is 0.455.
     let contrast = (median.max(0.0) / 0.455).sqrt();
-    (0.7 * contrast).clamp(0.02, 0.3)
+    contrast.clamp(0.02, 0.4)
 }
 
 /// The median; `None` of nothing.

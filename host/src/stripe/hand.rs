@@ -13,7 +13,7 @@ use super::chain;
 use super::link::{self, Chain};
 use super::profile::{Fit, Noise};
 use super::search::{self, Region};
-use super::smooth::{Curve, Sample};
+use super::smooth::{Curve, Sample, Scatter};
 use super::{Axis, StripeError, StripePoint};
 use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
@@ -252,7 +252,7 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
     let all: Vec<Sample> = fits
         .iter()
         .map(|f| Sample {
-            u: f64::from(f.u),
+            u: usize::from(f.u),
             v: f64::from(f.centre),
             variance: f64::from(f.variance * f.chi2.max(1.0)) + 1e-5,
         })
@@ -260,7 +260,6 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
     let mut keep = near_median(&all);
     // Twice: gross outliers bend the first curve.
     let mut curve = None;
-    let mut scatter = 3.0;
     for _ in 0..2 {
         let good: Vec<Sample> = all
             .iter()
@@ -270,21 +269,12 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
             .collect();
         curve = Curve::fit(&good);
         let Some(curve) = &curve else { break };
-        let mut ratios: Vec<f64> = all
-            .iter()
-            .map(|s| (s.v - curve.at(s.u).v).powi(2) / s.variance)
-            .collect();
-        let middle = ratios.len() / 2;
-        let median = *ratios
-            .clone()
-            .select_nth_unstable_by(middle, f64::total_cmp)
-            .1;
-        // The median of a squared normal deviate is 0.455.
-        scatter = (median / 0.455).max(0.05);
-        for (k, r) in keep.iter_mut().zip(&mut ratios) {
-            *k = *r < 4.5 * 4.5 * scatter;
+        for (k, s) in keep.iter_mut().zip(&all) {
+            let e = s.v - curve.at(s.u).v;
+            *k = e * e < OUTLIER * OUTLIER * s.variance * curve.scatter.scale;
         }
     }
+    let scatter = curve.as_ref().map_or(Scatter::USUAL, |c| c.scatter);
     let smoothed = curve.as_ref().filter(|_| settings.smooth);
     let mut points: Vec<StripePoint> = fits
         .iter()
@@ -297,10 +287,10 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
                     let s = curve.at(sample.u);
                     (s.v, s.variance)
                 }
-                None => (sample.v, sample.variance * scatter),
+                None => (sample.v, sample.variance * scatter.scale),
             };
             StripePoint {
-                pixel: Vector2::new(sample.u, v),
+                pixel: Vector2::new(sample.u as f64, v),
                 across: Vector2::new(0.0, 1.0),
                 variance: variance + FLOOR * FLOOR,
                 intensity: fit.peak,
@@ -314,17 +304,21 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
     }
     points.truncate(points.len() - END);
     points.drain(..END);
-    let mean = points.iter().map(|p| p.variance).sum::<f64>() / points.len() as f64;
-    let correlation = match &curve {
-        Some(curve) => (curve.column_variance() / mean).max(1.0),
-        None => 3.0,
-    };
+    let n = points.len() as f64;
+    let mean = points.iter().map(|p| p.variance).sum::<f64>() / n;
+    // Smoothing moves information between columns but makes none: a mean over many columns keeps
+    // the variance that the raw centres give it.
+    let raw = all.iter().map(|s| s.variance).sum::<f64>() / all.len() as f64;
+    let correlation = (raw * scatter.scale * scatter.columns() / mean).max(1.0);
     Some(Segment {
         points,
         surface: Surface::Hand,
         correlation,
     })
 }
+
+/// Standard deviations from the curve beyond which a centre is dropped.
+const OUTLIER: f64 = 4.5;
 
 /// What no smoothing takes away: model error of the profile, px.
 const FLOOR: f64 = 0.01;
@@ -340,7 +334,7 @@ fn near_median(samples: &[Sample]) -> Vec<bool> {
             let third = |j: usize| {
                 let mut three = [samples[j].v, samples[j + 1].v, samples[j + 2].v];
                 three.sort_by(f64::total_cmp);
-                (samples[j + 1].u, three[1])
+                (samples[j + 1].u as f64, three[1])
             };
             let ((u0, v0), (u1, v1)) = (third(a), third(b - 3));
             let slope = if u1 > u0 { (v1 - v0) / (u1 - u0) } else { 0.0 };
@@ -348,7 +342,7 @@ fn near_median(samples: &[Sample]) -> Vec<bool> {
             window.extend(
                 samples[a..b]
                     .iter()
-                    .map(|s| s.v - slope * (s.u - samples[i].u)),
+                    .map(|s| s.v - slope * (s.u as f64 - samples[i].u as f64)),
             );
             let middle = window.len() / 2;
             let median = *window.select_nth_unstable_by(middle, f64::total_cmp).1;

@@ -1,22 +1,28 @@
 //! Centres along the stripe, smoothed as far as their scatter bears it.
 //!
-//! Four neighbouring columns are taken together (speckle grains are two or three pixels wide: the
-//! means of four are nearly independent). The stripe's row v(u) is a thrice integrated random
-//! walk, v''' = white noise of density q, observed with the noise r·R at each bin: a Kalman filter and the
-//! Rauch–Tung–Striebel smoother (Särkkä, Bayesian Filtering and Smoothing, 2013, Alg. 8.2). q/r
-//! is chosen by maximum likelihood among eight values, r (how far the centres scatter more than
-//! their variances say) follows in closed form. Nothing is smoothed over a jump: the caller splits first.
+//! Speckle grains are wider than a column, so that the centres' errors are correlated: third differences
+//! of the centres over 1 to 4 columns, Var = σ²(20 − 30ρ(l) + 12ρ(2l) − 2ρ(3l)), give σ²
+//! and the correlation ρ, whatever smooth shape the surface has. A local quadratic is then fitted in
+//! windows of several widths, and each column takes the width of least estimated risk, bias² + variance
+//! (Mallows' Cp over the neighbourhood, with the correlation accounted for). Where the surface is
+//! too rough to smooth, the raw centre remains. Nothing is smoothed over a jump: the caller
+//! splits first.
 
-/// Columns of a bin.
-pub(super) const BIN: usize = 4;
-/// q in units of the bins' mean variance, px⁻⁵ px²… from a nearly quadratic curve to a free one.
-const DENSITIES: [f64; 8] = [1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2];
+use std::sync::OnceLock;
+
+/// Half widths of the windows; 0 is the raw centre.
+const HALVES: [usize; 9] = [0, 2, 3, 4, 5, 7, 10, 14, 20];
+/// Columns on either side over which the risk is averaged.
+const NEIGHBOURS: usize = 25;
+/// Lags up to which errors are correlated.
+const LAGS: usize = 4;
 
 /// A centre to smooth.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
-    pub u: f64,
+    pub u: usize,
     pub v: f64,
+    /// As the fit stated it: right up to a factor.
     pub variance: f64,
 }
 
@@ -24,229 +30,358 @@ pub(super) struct Sample {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Smoothed {
     pub v: f64,
-    pub slope: f64,
     pub variance: f64,
+}
+
+/// How the centres of one segment scatter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scatter {
+    /// Observed variance ÷ stated variance.
+    pub scale: f64,
+    /// Correlation at lags 0…3.
+    pub correlation: [f64; LAGS],
+}
+
+impl Scatter {
+    /// Where too few columns are there to tell: speckle of two to three columns.
+    pub const USUAL: Self = Self {
+        scale: 2.0,
+        correlation: [1.0, 0.5, 0.18, 0.03],
+    };
+
+    /// Columns that share one error.
+    pub fn columns(&self) -> f64 {
+        self.correlation[0] + 2.0 * self.correlation[1..].iter().sum::<f64>()
+    }
+
+    /// From third differences over several lags, each relative to its stated variance.
+    fn observe(v: &[f64], variance: &[f64]) -> Self {
+        let n = v.len();
+        if n < 24 {
+            return Self::USUAL;
+        }
+        let spread = |lag: usize| -> f64 {
+            let mut squares: Vec<f64> = (0..n - 3 * lag)
+                .map(|i| {
+                    let d = v[i + 3 * lag] - 3.0 * v[i + 2 * lag] + 3.0 * v[i + lag] - v[i];
+                    let s = variance[i]
+                        + 9.0 * (variance[i + lag] + variance[i + 2 * lag])
+                        + variance[i + 3 * lag];
+                    20.0 * d * d / s
+                })
+                .collect();
+            let middle = squares.len() / 2;
+            // The median of a squared normal deviate is 0.455.
+            *squares.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.455
+        };
+        let (one, two, three, four) = (spread(1), spread(2), spread(3), spread(4));
+        // Nearly that of a blurred grain, ρ(l) = ρ(1)^(l²).
+        let at = |first: f64| [1.0, first, first.powf(3.5), first.powi(8)];
+        // Over three and four columns little correlation is left, but the shape may show.
+        let far = |r: &[f64; LAGS]| {
+            (two / (20.0 - 30.0 * r[2]))
+                .min(three / 19.0)
+                .min(four / 20.0)
+        };
+        let mut best = (f64::INFINITY, at(0.0));
+        for k in 0..40 {
+            let r = at(0.02 * f64::from(k));
+            let miss = (far(&r) * (20.0 - 30.0 * r[1] + 12.0 * r[2] - 2.0 * r[3]) - one).abs();
+            if miss < best.0 {
+                best = (miss, r);
+            }
+        }
+        Self {
+            scale: far(&best.1).max(0.02),
+            correlation: best.1,
+        }
+    }
+}
+
+/// The weights of a local quadratic fit's value at one of the window's columns.
+struct Kernel {
+    weights: Vec<f64>,
+    /// Index of that column.
+    at: usize,
+}
+
+impl Kernel {
+    fn new(length: usize, at: usize) -> Self {
+        let mut m = nalgebra::Matrix3::<f64>::zeros();
+        let row = |i: usize| {
+            let x = i as f64 - at as f64;
+            nalgebra::Vector3::new(1.0, x, x * x)
+        };
+        for i in 0..length {
+            m += row(i) * row(i).transpose();
+        }
+        // Five columns or more determine a quadratic.
+        let first = m
+            .try_inverse()
+            .map_or(nalgebra::Vector3::x(), |m| m.column(0).into_owned());
+        Self {
+            weights: (0..length).map(|i| first.dot(&row(i))).collect(),
+            at,
+        }
+    }
+
+    fn value(&self, window: &[f64]) -> f64 {
+        self.weights.iter().zip(window).map(|(k, v)| k * v).sum()
+    }
+
+    /// Variance of the value, and its covariance with the raw centre, for unit variances.
+    fn noise(&self, correlation: &[f64; LAGS]) -> (f64, f64) {
+        let k = &self.weights;
+        let (mut variance, mut covariance) = (0.0, 0.0);
+        for i in 0..k.len() {
+            variance += k[i] * k[i];
+            for (lag, r) in correlation.iter().enumerate().skip(1) {
+                if i + lag < k.len() {
+                    variance += 2.0 * r * k[i] * k[i + lag];
+                }
+            }
+            let lag = i.abs_diff(self.at);
+            if lag < LAGS {
+                covariance += correlation[lag] * k[i];
+            }
+        }
+        (variance, covariance)
+    }
+}
+
+/// For each half width: the full window's kernel last, before it those cut short at the left
+/// end, for the columns 0, 1, … (the right end's are their mirror images).
+fn kernels() -> &'static Vec<Vec<Kernel>> {
+    static KERNELS: OnceLock<Vec<Vec<Kernel>>> = OnceLock::new();
+    KERNELS.get_or_init(|| {
+        HALVES
+            .iter()
+            .map(|&h| {
+                (0..=h)
+                    .map(|at| Kernel::new((at + h + 1).max(if h > 0 { 5 } else { 1 }), at))
+                    .collect()
+            })
+            .collect()
+    })
 }
 
 /// The smooth curve through a run of samples.
 pub(super) struct Curve {
-    bins: Vec<Bin>,
-    states: Vec<State>,
-    /// Observed variance of a bin ÷ the variance that its samples stated.
-    pub scale: f64,
-}
-
-#[derive(Clone, Copy)]
-struct Bin {
-    u: f64,
-    v: f64,
-    /// As the samples stated it.
-    variance: f64,
-}
-
-#[derive(Clone, Copy)]
-struct State {
-    x: [f64; 3],
-    /// Covariance, upper triangle: 00, 01, 02, 11, 12, 22.
-    p: [f64; 6],
-}
-
-fn bins(samples: &[Sample]) -> Vec<Bin> {
-    let mut bins = Vec::with_capacity(samples.len() / BIN + 2);
-    let mut i = 0;
-    while i < samples.len() {
-        let cell = (samples[i].u / BIN as f64).floor();
-        let (mut w, mut wu, mut wv) = (0.0, 0.0, 0.0);
-        while i < samples.len() && (samples[i].u / BIN as f64).floor() == cell {
-            let s = &samples[i];
-            let weight = 1.0 / s.variance;
-            w += weight;
-            wu += weight * s.u;
-            wv += weight * s.v;
-            i += 1;
-        }
-        if w > 0.0 {
-            bins.push(Bin {
-                u: wu / w,
-                v: wv / w,
-                variance: 1.0 / w,
-            });
-        }
-    }
-    bins
-}
-
-/// State and covariance after `dt`, with process noise of density q.
-fn predict(s: &State, dt: f64, q: f64) -> State {
-    let [v, d, c] = s.x;
-    let [a, b, e, f, g, h] = s.p;
-    let k = 0.5 * dt * dt;
-    // F P Fᵀ with F = [1 dt k; 0 1 dt; 0 0 1]
-    let (a1, b1, e1) = (a + dt * b + k * e, b + dt * f + k * g, e + dt * g + k * h);
-    let (f1, g1) = (f + dt * g, g + dt * h);
-    let dt2 = dt * dt;
-    let dt3 = dt2 * dt;
-    State {
-        x: [v + dt * d + k * c, d + dt * c, c],
-        p: [
-            a1 + dt * b1 + k * e1 + q * dt3 * dt2 / 20.0,
-            b1 + dt * e1 + q * dt2 * dt2 / 8.0,
-            e1 + q * dt3 / 6.0,
-            f1 + dt * g1 + q * dt3 / 3.0,
-            g1 + q * dt2 / 2.0,
-            h + q * dt,
-        ],
-    }
-}
-
-/// Takes in an observation of v; also its innovation and the innovation's variance.
-fn update(s: &State, v: f64, r: f64) -> (State, f64, f64) {
-    let [a, b, e, f, g, h] = s.p;
-    let total = a + r;
-    let innovation = v - s.x[0];
-    let (k0, k1, k2) = (a / total, b / total, e / total);
-    let state = State {
-        x: [
-            s.x[0] + k0 * innovation,
-            s.x[1] + k1 * innovation,
-            s.x[2] + k2 * innovation,
-        ],
-        p: [
-            a - k0 * a,
-            b - k0 * b,
-            e - k0 * e,
-            f - k1 * b,
-            g - k1 * e,
-            h - k2 * e,
-        ],
-    };
-    (state, innovation, total)
-}
-
-/// What is known before the first bin: next to nothing.
-fn prior(first: &Bin, unit: f64) -> State {
-    State {
-        x: [first.v, 0.0, 0.0],
-        p: [1e4, 0.0, 0.0, 10.0, 0.0, (0.1_f64).powi(2).max(unit)],
-    }
+    first: usize,
+    values: Vec<Smoothed>,
+    pub scatter: Scatter,
 }
 
 impl Curve {
-    /// Fits the curve; `None` below six bins, which cannot tell a curve from noise.
+    /// Fits the curve to samples in ascending columns, with gaps of a few columns at most.
     pub fn fit(samples: &[Sample]) -> Option<Self> {
-        let bins = bins(samples);
-        if bins.len() < 6 {
+        let (first, last) = (samples.first()?.u, samples.last()?.u);
+        let n = last - first + 1;
+        if n < 5 || samples.len() < 5 {
             return None;
         }
-        let unit = bins.iter().map(|b| b.variance).sum::<f64>() / bins.len() as f64;
-        let mut best = (f64::INFINITY, DENSITIES[0], 1.0);
-        for density in DENSITIES {
-            let q = density * unit;
-            let mut state = prior(&bins[0], 0.0);
-            let mut last = bins[0].u;
-            let (mut squares, mut logs, mut count) = (0.0, 0.0, 0.0);
-            for (i, bin) in bins.iter().enumerate() {
-                let ahead = predict(&state, bin.u - last, q);
-                let (next, innovation, total) = update(&ahead, bin.v, bin.variance);
-                if i >= 3 {
-                    squares += innovation * innovation / total;
-                    logs += total.ln();
-                    count += 1.0;
-                }
-                state = next;
-                last = bin.u;
+        let (v, variance) = dense(samples, n);
+        let scatter = Scatter::observe(&v, &variance);
+        let mut values: Vec<Smoothed> = v
+            .iter()
+            .zip(&variance)
+            .map(|(v, s)| Smoothed {
+                v: *v,
+                variance: s * scatter.scale,
+            })
+            .collect();
+        let mut least: Vec<f64> = values.iter().map(|s| s.variance).collect();
+        let mut fitted = vec![0.0; n];
+        let mut noise = vec![0.0; n];
+        let mut sums = vec![0.0; n + 1];
+        let mut mirrored = vec![0.0; n];
+        for (half, kernels) in HALVES.iter().zip(kernels()).skip(1) {
+            if n < 2 * half + 1 {
+                break;
             }
-            // −2 ln L with the scale at its best: n ln(scale) + Σ ln S.
-            let scale = squares / count;
-            let deviance = count * scale.max(1e-12).ln() + logs;
-            if deviance < best.0 {
-                best = (deviance, density, scale);
+            let whole = &kernels[*half];
+            let (f, c) = whole.noise(&scatter.correlation);
+            for i in *half..n - half {
+                fitted[i] = whole.value(&v[i - half..]);
+                noise[i] = f;
+                let s = scatter.scale * variance[i];
+                sums[i + 1] = (fitted[i] - v[i]).powi(2) - s * (f + 1.0 - 2.0 * c);
+            }
+            for (m, x) in mirrored.iter_mut().zip(v.iter().rev()) {
+                *m = *x;
+            }
+            for (at, kernel) in kernels[..*half].iter().enumerate() {
+                let (f, c) = kernel.noise(&scatter.correlation);
+                for (i, window) in [(at, &v), (n - 1 - at, &mirrored)] {
+                    fitted[i] = kernel.value(window);
+                    noise[i] = f;
+                    let s = scatter.scale * variance[i];
+                    sums[i + 1] = (fitted[i] - v[i]).powi(2) - s * (f + 1.0 - 2.0 * c);
+                }
+            }
+            for i in 0..n {
+                sums[i + 1] += sums[i];
+            }
+            for i in 0..n {
+                let (a, b) = (i.saturating_sub(NEIGHBOURS), (i + NEIGHBOURS + 1).min(n));
+                let own = noise[i] * scatter.scale * variance[i];
+                // The estimate of bias² scatters about zero: what is far below means nothing.
+                let bias = ((sums[b] - sums[a]) / (b - a) as f64).max(-0.3 * own);
+                if own + bias < least[i] {
+                    least[i] = own + bias;
+                    values[i] = Smoothed {
+                        v: fitted[i],
+                        variance: own + bias.max(0.0),
+                    };
+                }
             }
         }
-        let (_, density, scale) = best;
-        let scale = scale.max(1e-6);
-        let states = smooth(&bins, density * unit * scale, scale);
         Some(Self {
-            bins,
-            states,
-            scale,
+            first,
+            values,
+            scatter,
         })
     }
 
-    /// The curve at column u (which may lie between bins, or a few columns past the ends).
-    pub fn at(&self, u: f64) -> Smoothed {
-        let i = self.bins.partition_point(|b| b.u < u);
-        // Between two bins: both parabolas, weighted by nearness.
-        let from = |k: usize| -> (f64, f64, f64) {
-            let (s, dt) = (&self.states[k], u - self.bins[k].u);
-            let ahead = predict(s, dt.abs() * dt.signum(), 0.0);
-            (ahead.x[0], ahead.x[1], ahead.p[0])
-        };
-        let (v, slope, variance) = if i == 0 {
-            from(0)
-        } else if i == self.bins.len() {
-            from(i - 1)
-        } else {
-            let (a, b) = (from(i - 1), from(i));
-            let t = (u - self.bins[i - 1].u) / (self.bins[i].u - self.bins[i - 1].u);
-            let mix = |x: f64, y: f64| x + t * (y - x);
-            (mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
-        };
-        Smoothed { v, slope, variance }
-    }
-
-    /// Variance of a single column's worth of independent information, px²: a mean over n
-    /// columns has this over n.
-    pub fn column_variance(&self) -> f64 {
-        let mean = self.bins.iter().map(|b| b.variance).sum::<f64>() / self.bins.len() as f64;
-        mean * self.scale * BIN as f64
+    /// The curve at column u; its end's value beyond it.
+    pub fn at(&self, u: usize) -> Smoothed {
+        self.values[u.saturating_sub(self.first).min(self.values.len() - 1)]
     }
 }
 
-/// Filter and smoother with given noise.
-fn smooth(bins: &[Bin], q: f64, scale: f64) -> Vec<State> {
-    let n = bins.len();
-    let mut filtered = Vec::with_capacity(n);
-    let mut predicted = Vec::with_capacity(n);
-    let mut state = prior(&bins[0], 0.0);
-    let mut last = bins[0].u;
-    for bin in bins {
-        let ahead = predict(&state, bin.u - last, q);
-        state = update(&ahead, bin.v, bin.variance * scale).0;
-        predicted.push(ahead);
-        filtered.push(state);
-        last = bin.u;
+/// One value a column; missing ones interpolated by the cubic that keeps both sides' slopes.
+fn dense(samples: &[Sample], n: usize) -> (Vec<f64>, Vec<f64>) {
+    let (mut v, mut variance) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for (i, s) in samples.iter().enumerate() {
+        if i > 0 && s.u > samples[i - 1].u + 1 {
+            let p = &samples[i - 1];
+            let slope = |a: usize, b: usize| {
+                let (a, b) = (&samples[a], &samples[b]);
+                if b.u > a.u {
+                    (b.v - a.v) / (b.u - a.u) as f64
+                } else {
+                    0.0
+                }
+            };
+            let gap = (s.u - p.u) as f64;
+            let m0 = slope((i - 1).saturating_sub(4), i - 1) * gap;
+            let m1 = slope(i, (i + 4).min(samples.len() - 1)) * gap;
+            for u in p.u + 1..s.u {
+                let t = (u - p.u) as f64 / gap;
+                let (t2, t3) = (t * t, t * t * t);
+                v.push(
+                    (2.0 * t3 - 3.0 * t2 + 1.0) * p.v
+                        + (t3 - 2.0 * t2 + t) * m0
+                        + (3.0 * t2 - 2.0 * t3) * s.v
+                        + (t3 - t2) * m1,
+                );
+                variance.push(0.5 * (p.variance + s.variance));
+            }
+        }
+        v.push(s.v);
+        variance.push(s.variance);
     }
-    let mut states = filtered.clone();
-    for i in (0..n - 1).rev() {
-        let dt = bins[i + 1].u - bins[i].u;
-        states[i] = step_back(&filtered[i], &predicted[i + 1], &states[i + 1], dt);
-    }
-    states
+    (v, variance)
 }
 
-/// One step of the smoother: x + G·(x⁺ − x⁻), P + G·(P⁺ − P⁻)·Gᵀ with G = P·Fᵀ·(P⁻)⁻¹.
-fn step_back(filtered: &State, predicted: &State, after: &State, dt: f64) -> State {
-    let full =
-        |p: &[f64; 6]| nalgebra::Matrix3::new(p[0], p[1], p[2], p[1], p[3], p[4], p[2], p[4], p[5]);
-    let f = nalgebra::Matrix3::new(1.0, dt, 0.5 * dt * dt, 0.0, 1.0, dt, 0.0, 0.0, 1.0);
-    let (p, ahead, later) = (full(&filtered.p), full(&predicted.p), full(&after.p));
-    let Some(inverse) = ahead.try_inverse() else {
-        return *filtered;
-    };
-    let gain = p * f.transpose() * inverse;
-    let x = nalgebra::Vector3::from(filtered.x)
-        + gain * (nalgebra::Vector3::from(after.x) - nalgebra::Vector3::from(predicted.x));
-    let c = p + gain * (later - ahead) * gain.transpose();
-    State {
-        x: [x[0], x[1], x[2]],
-        p: [
-            c[(0, 0)],
-            c[(0, 1)],
-            c[(0, 2)],
-            c[(1, 1)],
-            c[(1, 2)],
-            c[(2, 2)],
-        ],
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Normal deviates by Box–Muller on a linear congruential generator.
+    struct Normal(u64);
+    impl Normal {
+        fn uniform(&mut self) -> f64 {
+            self.0 = self
+                .0
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+        }
+        fn next(&mut self) -> f64 {
+            (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+        }
+    }
+
+    fn noisy(n: usize, blur: f64, sigma: f64, shape: impl Fn(f64) -> f64) -> Vec<Sample> {
+        let mut normal = Normal(7);
+        let white: Vec<f64> = (0..n + 12).map(|_| normal.next()).collect();
+        let k: Vec<f64> = (0..13)
+            .map(|i| (-0.5 * ((i as f64 - 6.0) / blur.max(1e-3)).powi(2)).exp())
+            .collect();
+        let norm = k.iter().map(|x| x * x).sum::<f64>().sqrt();
+        (0..n)
+            .map(|i| {
+                let e: f64 = k.iter().zip(&white[i..]).map(|(a, b)| a * b).sum();
+                Sample {
+                    u: i + 100,
+                    v: shape(i as f64) + sigma * e / norm,
+                    variance: 0.01,
+                }
+            })
+            .collect()
+    }
+
+    /// Root mean square and normalised errors of the curve.
+    fn errors(samples: &[Sample], shape: impl Fn(f64) -> f64) -> (f64, f64) {
+        let curve = Curve::fit(samples).unwrap();
+        let (mut e2, mut z2) = (0.0, 0.0);
+        for s in samples {
+            let c = curve.at(s.u);
+            let e = c.v - shape((s.u - 100) as f64);
+            e2 += e * e;
+            z2 += e * e / c.variance;
+        }
+        let n = samples.len() as f64;
+        ((e2 / n).sqrt(), (z2 / n).sqrt())
+    }
+
+    #[test]
+    fn noise_is_measured_whatever_the_shape() {
+        for (blur, sigma) in [(0.0, 0.1), (0.7, 0.05), (1.0, 0.2)] {
+            let samples = noisy(1200, blur, sigma, |x| {
+                0.002 * x * x + 3.0 * (x / 40.0).sin()
+            });
+            let curve = Curve::fit(&samples).unwrap();
+            let expected = sigma * sigma / 0.01;
+            let found = curve.scatter.scale;
+            assert!(
+                (0.75..1.3).contains(&(found / expected)),
+                "{found} {expected}"
+            );
+            // Of noise blurred by s: ρ(1) = exp(−1/4s²).
+            let rho = if blur > 0.0 {
+                (-0.25 / (blur * blur)).exp()
+            } else {
+                0.0
+            };
+            let found = curve.scatter.correlation[1];
+            assert!((found - rho).abs() < 0.12, "{found} {rho}");
+        }
+    }
+
+    #[test]
+    fn a_smooth_shape_gains_and_a_rough_one_loses_nothing() {
+        let smooth = |x: f64| 40.0 * (x / 300.0).sin();
+        let samples = noisy(1000, 0.7, 0.1, smooth);
+        let (rms, normalised) = errors(&samples, smooth);
+        assert!(rms < 0.05, "{rms}");
+        assert!((0.8..1.25).contains(&normalised), "{normalised}");
+        let rough = |x: f64| 1.5 * (x / 6.0).sin();
+        let samples = noisy(1000, 0.7, 0.02, rough);
+        let (rms, _) = errors(&samples, rough);
+        assert!(rms < 0.022, "{rms}");
+    }
+
+    #[test]
+    fn gaps_are_bridged_along_the_curve() {
+        let shape = |x: f64| 0.01 * (x - 50.0).powi(2);
+        let mut samples = noisy(100, 0.0, 0.03, shape);
+        samples.retain(|s| !(140..146).contains(&s.u) && s.u % 17 != 0);
+        let curve = Curve::fit(&samples).unwrap();
+        for u in 100..200 {
+            let e = curve.at(u).v - shape((u - 100) as f64);
+            assert!(e.abs() < 0.1, "{u} {e}");
+        }
     }
 }

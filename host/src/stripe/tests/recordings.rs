@@ -38,6 +38,7 @@ fn json(path: &Path) -> Value {
 struct Score {
     errors: Vec<f64>,
     normalised: Vec<f64>,
+    by_end: Vec<(f64, f64)>,
     spurious: usize,
     missed: usize,
 }
@@ -88,6 +89,9 @@ fn hand_score(session: &Path, settings: &HandSettings, with_ambient: bool) -> Sc
                         let e = p.pixel.y - v;
                         score.errors.push(e);
                         score.normalised.push(e / p.variance.sqrt());
+                        let end = (p.pixel.x - segment.points[0].pixel.x)
+                            .min(segment.points[segment.points.len() - 1].pixel.x - p.pixel.x);
+                        score.by_end.push((end, e));
                     }
                     None => score.spurious += 1,
                 }
@@ -118,6 +122,26 @@ fn centres_on_the_hand_are_true() {
                 ..HandSettings::default()
             };
             let score = hand_score(&session, &settings, with);
+            for (a, b) in [
+                (0., 3.),
+                (3., 6.),
+                (6., 12.),
+                (12., 24.),
+                (24., 48.),
+                (48., 999.),
+            ] {
+                let part: Vec<f64> = score
+                    .by_end
+                    .iter()
+                    .filter(|x| x.0 >= a && x.0 < b)
+                    .map(|x| x.1 * x.1)
+                    .collect();
+                println!(
+                    "  {a}-{b}: {} {:.4}",
+                    part.len(),
+                    (part.iter().sum::<f64>() / part.len() as f64).sqrt()
+                );
+            }
             score.print(&format!(
                 "{name} smooth {smooth} albedo {albedo} ambient {with}"
             ));
