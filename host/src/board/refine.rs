@@ -21,6 +21,12 @@ const ALONG: f64 = 0.85;
 const BAND: f64 = 3.3;
 /// More blur than this part of a square's side, and neighbouring edges run into each other.
 pub(super) const MOST_BLUR: f64 = 0.18;
+/// A corner with more of its patch covered by something foreign leans on its neighbours ...
+const LEANING: f64 = 0.2;
+/// ... and with more than this it counts as hidden.
+const MOST_MASKED: f64 = 0.8;
+/// Standard deviation of a corner's place as its neighbours' homography predicts it, px.
+const PREDICTED: f64 = 0.1;
 /// Standard deviation that no covariance goes below, px: what the model leaves on clean images.
 const FLOOR: f64 = 1e-3;
 
@@ -38,6 +44,12 @@ pub(super) struct Site {
     /// Whether the fit can be believed so far.
     sound: bool,
     pub(super) masked: f64,
+    /// Root mean square residual of the first fit.
+    rough: f64,
+    /// Sound with the help of its neighbours.
+    leaning: bool,
+    /// What the neighbours say, for a corner that too few of its own pixels show.
+    prior: Option<Prior>,
     /// Value − model and K of each pixel of the patch when last looked at.
     pub(super) residual: Vec<f32>,
     pub(super) pattern: Vec<f32>,
@@ -141,9 +153,26 @@ impl Site {
     /// fails. Returns the last step's normal equations, and the weighted square sum of the residual
     /// that they predict after it.
     fn fit(&mut self, steps: usize, enough: f64) -> Option<(Normal, f64)> {
+        self.fit_near(steps, enough, None)
+    }
+
+    /// [`Site::fit`], held near a prior where one is given with the residual's standard deviation.
+    fn fit_near(
+        &mut self,
+        steps: usize,
+        enough: f64,
+        prior: Option<(&Prior, f64)>,
+    ) -> Option<(Normal, f64)> {
         let mut last = None;
         for _ in 0..steps {
-            let normal = accumulate(&self.patch, &self.parameters);
+            let mut normal = accumulate(&self.patch, &self.parameters);
+            if let Some((prior, noise)) = prior {
+                for i in 0..FREE {
+                    let weight = (noise / prior.deviation[i]).powi(2);
+                    normal.products[i][i] += weight;
+                    normal.products[i][FREE] += weight * (prior.free[i] - self.parameters.free[i]);
+                }
+            }
             let mut delta = solve(&normal)?;
             let gain: f64 = (0..FREE).map(|i| delta[i] * normal.products[i][FREE]).sum();
             let sigma = self.sigma();
@@ -183,12 +212,45 @@ impl Site {
         );
     }
 
+    /// Whether some pixel is much brighter or darker than white and black are here.
+    fn exceeds(&self, noise: f64) -> bool {
+        let mean = self.parameters.free[index::MEAN];
+        let limit = 0.6 * self.contrast() + 5.0 * noise;
+        let values = &self.patch.value[..self.patch.len];
+        let (low, high) = values
+            .iter()
+            .fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), &v| {
+                (a.min(v), b.max(v))
+            });
+        f64::from(high) > mean + limit || f64::from(low) < mean - limit
+    }
+
     /// How far edges may be followed at this blur.
     fn clear_reach(&self) -> [f64; 4] {
         let edge = 3.5 * self.sigma() + 1.0;
         let shortest = self.steps[0].norm().min(self.steps[1].norm());
         self.reach
             .map(|r| (r - edge).min(ALONG * r).min(LONGEST).max(0.3 * shortest))
+    }
+}
+
+/// Where a corner's parameters are expected: their values and standard deviations.
+#[derive(Clone, Copy, Debug)]
+struct Prior {
+    free: [f64; FREE],
+    deviation: [f64; FREE],
+}
+
+impl Prior {
+    /// Around a corner's parameters as its neighbours predict them.
+    fn around(free: [f64; FREE], contrast: f64, reach: f64) -> Self {
+        let grey = 0.1 * contrast;
+        let slope = grey / reach;
+        let sigma = 0.1 * free[index::SIGMA];
+        let deviation = [
+            PREDICTED, PREDICTED, 0.03, 0.03, sigma, grey, slope, slope, grey, slope, slope,
+        ];
+        Self { free, deviation }
     }
 }
 
@@ -284,6 +346,9 @@ impl<'a, P: Pixel> Board<'a, P> {
             reach: [0.0; 4],
             sound: false,
             masked: 0.0,
+            rough: 0.0,
+            leaning: false,
+            prior: None,
             residual: Vec::new(),
             pattern: Vec::new(),
         };
@@ -396,16 +461,31 @@ impl<'a, P: Pixel> Board<'a, P> {
             let short = 7.0 * self.coarseness.max(1.0);
             let reach = site.reach.map(|r| (0.45 * r).min(short));
             site.gather(image, reach, BAND * sigma + 0.5);
-            let converged = half * sign > 0.0 && site.fit(8, 0.03).is_some();
+            let fitted = site.fit(8, 0.03);
+            let converged = half * sign > 0.0 && fitted.is_some();
+            site.rough = fitted.map_or(0.0, |(_, left)| (left / site.patch.len as f64).sqrt());
             let shortest = ex.norm().min(ey.norm());
             site.sound = converged && (site.position() - p).norm() < 0.2 * shortest;
         }
         self.doubt();
+        let rough = self.rough_noise();
         for i in 0..self.sites.len() {
             if !self.sites[i].sound {
-                self.rescue(i);
+                self.rescue(i, rough);
             }
         }
+    }
+
+    /// Root mean square residual of a typical first fit.
+    fn rough_noise(&self) -> f64 {
+        median(
+            &mut self
+                .sites
+                .iter()
+                .filter(|s| s.sound)
+                .map(|s| s.rough)
+                .collect::<Vec<_>>(),
+        )
     }
 
     /// Marks fits whose contrast or blur differ grossly from the others'.
@@ -467,7 +547,7 @@ impl<'a, P: Pixel> Board<'a, P> {
     }
 
     /// A robust fit from the neighbours' prediction, with all foreign pixels left out.
-    fn rescue(&mut self, i: usize) {
+    fn rescue(&mut self, i: usize, rough: f64) {
         let Some((p, steps, near)) = self.predict(i) else {
             return;
         };
@@ -484,20 +564,25 @@ impl<'a, P: Pixel> Board<'a, P> {
         site.place(p, sigma, mean, 0.5 * contrast * sign);
         let reach = site.clear_reach();
         site.gather(image, reach, BAND * sigma + 1.0);
+        let longest = reach.iter().fold(1.0, |a: f64, &b| a.max(b));
+        let prior = Prior::around(site.parameters.free, contrast, longest);
         let mut sound = true;
-        for part in [0.35, 0.2, 0.12] {
-            let noise = Noise::uniform(part * contrast / 4.5);
+        for part in [0.3, 0.2, 0.12] {
+            let noise = Noise::uniform((part * contrast / 4.5).max(rough));
             site.look();
             mask_foreign(site, &noise, true);
-            sound &= site.fit(4, 0.01).is_some();
+            sound &= site
+                .fit_near(4, 0.01, Some((&prior, 0.05 * contrast)))
+                .is_some();
         }
         let shortest = steps[0].norm().min(steps[1].norm());
         let c = site.contrast() / contrast;
         site.sound = sound
-            && site.masked < 0.7
+            && site.masked < MOST_MASKED
             && site.parameters.free[index::HALF] * sign > 0.0
             && (site.position() - p).norm() < 0.1 * shortest
             && (0.5..2.0).contains(&c);
+        site.prior = Some(prior);
     }
 
     /// Whether all corners are there, sharp enough.
@@ -537,26 +622,59 @@ impl<'a, P: Pixel> Board<'a, P> {
         let positions: Vec<Vector2> = self.sites.iter().map(Site::position).collect();
         self.measure(&positions);
         let image = self.image;
+        let rough = self.rough_noise();
         for site in &mut self.sites {
             let reach = site.clear_reach();
             site.gather(image, reach, BAND * site.sigma() + 0.5);
+            if site.exceeds(rough) {
+                site.look();
+                let noise = Noise::uniform((0.15 * site.contrast() / 4.5).max(rough));
+                mask_foreign(site, &noise, true);
+            }
             let _ = site.fit(3, 0.03);
         }
         self.bend();
         self.sites.iter_mut().for_each(Site::look);
         let mut noise = Noise::estimate(&self.sites);
-        let mut masked = false;
+        let mut covered = false;
         for site in &mut self.sites {
             let mut rounds = 0;
             while mask_foreign(site, &noise, false) && rounds < 3 {
                 let _ = site.fit(3, 0.002);
                 site.look();
                 rounds += 1;
-                masked = true;
+                covered = true;
             }
+            site.sound = site.masked < LEANING;
         }
-        if masked {
+        if covered {
             noise = Noise::estimate(&self.sites);
+            for i in 0..self.sites.len() {
+                if !self.sites[i].sound {
+                    self.rescue(i, rough);
+                    let site = &mut self.sites[i];
+                    site.look();
+                    mask_foreign(site, &noise, false);
+                    let prior = site.prior;
+                    let held = prior.as_ref().map(|p| (p, noise.edge));
+                    let _ = site.fit_near(3, 0.002, held);
+                    site.look();
+                    mask_foreign(site, &noise, false);
+                    // Not to be predicted from.
+                    site.leaning = site.sound;
+                    site.sound = false;
+                } else {
+                    self.sites[i].prior = None;
+                }
+            }
+            if let Some(hidden) = self.sites.iter().find(|s| !s.sound && !s.leaning) {
+                return Err(NotFound::Hidden {
+                    hidden: 1,
+                    near: hidden.position(),
+                });
+            }
+        } else {
+            self.sites.iter_mut().for_each(|s| s.prior = None);
         }
         let mut quality = Quality::default();
         let mut corners = Vec::with_capacity(self.sites.len());
@@ -564,7 +682,8 @@ impl<'a, P: Pixel> Board<'a, P> {
             noise.weigh(site);
             let used = site.patch.weight.iter().filter(|&&w| w > 0.0).count();
             let freedom = used.saturating_sub(FREE).max(1) as f64;
-            let fitted = site.fit(3, 0.01);
+            let prior = site.prior;
+            let fitted = site.fit_near(3, 0.01, prior.as_ref().map(|p| (p, 1.0)));
             let misfit = fitted
                 .as_ref()
                 .map_or(f64::INFINITY, |(_, left)| (left / freedom).sqrt());
