@@ -3,8 +3,10 @@
 use super::Output;
 use super::output::BadArgument;
 use crate::progress::Progress;
-use crate::puncture::decision::{self, Criterion, Row};
+use crate::puncture::Calibration;
+use crate::puncture::decision::{self, Criterion, Reference};
 use crate::puncture::output::{PunctureReport, StoppedRun, curve, summary, write};
+use crate::puncture::paper_preset;
 use crate::puncture::run::{Numerics, puncture};
 use crate::puncture::tissue::Setup;
 use rayon::prelude::*;
@@ -34,6 +36,12 @@ pub struct Args {
     /// Friction between needle and tissue (paper: 0.7).
     #[arg(long)]
     friction: Option<f64>,
+    /// The paper's layer thicknesses (from the times in its Figure 26), compared with its figures.
+    #[arg(long, conflicts_with = "tissue")]
+    paper_layers: bool,
+    /// Go on along the vein after the puncture, lowering the needle, mm (paper: 5).
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    along: f64,
     /// Size of a brick where the needle passes, mm.
     #[arg(long, value_name = "MM")]
     mesh: Option<f64>,
@@ -44,6 +52,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let bad = |s: String| anyhow::Error::new(BadArgument(s));
     let mut setup = match &args.tissue {
         Some(file) => Setup::read(file)?,
+        None if args.paper_layers => paper_preset::setup(),
         None => Setup::default(),
     };
     if let Some(f) = args.friction {
@@ -51,6 +60,13 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     }
     setup.check().map_err(|e| bad(e.to_string()))?;
     let mut numerics = Numerics::default();
+    if args.paper_layers {
+        numerics.h_mm = paper_preset::MESH_MM;
+    }
+    if !(0.0..=20.0).contains(&args.along) {
+        return Err(bad(format!("--along {}: give 0 to 20 mm", args.along)));
+    }
+    numerics.along_vein_mm = args.along;
     if let Some(h) = args.mesh {
         if !(0.08..=0.5).contains(&h) {
             return Err(bad(format!("--mesh {h}: give 0.08 to 0.5 mm")));
@@ -104,17 +120,23 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         "constrained" => Criterion::Constrained,
         _ => Criterion::Paper,
     };
-    let rows = runs
+    let reference: Vec<Reference> = runs
         .iter()
-        .map(|r| Row {
+        .map(|r| Reference {
             angle_deg: r.angle_deg,
             peak_force_n: r.peak_force_n,
+            work_n_mm: r.work_n_mm,
         })
         .collect();
-    let Some(decision) = decision::decide(rows, criterion) else {
-        anyhow::bail!("no angle could be computed: {}", stopped[0].reason);
+    let done: Vec<f64> = runs.iter().map(|r| r.angle_deg).collect();
+    let fast = Calibration::stored();
+    let Some(decision) = decision::decide(&setup, fast, &done, &reference, criterion) else {
+        let reasons: Vec<&str> = stopped.iter().map(|s| s.reason.as_str()).collect();
+        anyhow::bail!("no angle could be computed: {}", reasons.join("; "));
     };
+    let paper = args.paper_layers.then(|| paper_preset::compare(&runs));
     let report = PunctureReport {
+        paper,
         format: "cannula-puncture/1",
         runs,
         stopped,
@@ -136,6 +158,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 100.0 * r.quality.kinetic_share,
             );
         }
-        text + &report.decision.sentence
+        text += &report.decision.sentence;
+        if let Some(paper) = &report.paper {
+            for e in &paper.events {
+                let ours = e.ours_s.map_or("-".to_owned(), |t| format!("{t:.2}"));
+                text += &format!("\n{:>14}  ours {ours} s, paper {:.2} s", e.event, e.paper_s);
+            }
+            for d in &paper.differences {
+                text += &format!("\n{d}");
+            }
+        }
+        text
     })
 }

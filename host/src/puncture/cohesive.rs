@@ -62,7 +62,7 @@ impl Law {
     /// At half opening `y` and edge `e`, the largest λ ever having been `most` (updated).
     pub fn pull(&self, y: f64, e: f64, most: &mut f64) -> Pull {
         let (open, edge) = (y.max(0.0) / self.yc, e.max(0.0) / self.zone);
-        let q = open.hypot(edge);
+        let q = (open * open + edge * edge).sqrt();
         *most = most.max(q);
         let (slope, gone) = if *most <= self.rise {
             (self.toughness / self.rise, 0.0)

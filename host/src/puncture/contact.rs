@@ -48,6 +48,8 @@ impl Default for Stiffness {
 pub struct Touch {
     /// Force of the tissue on the needle (x, z), by region, N.
     pub force: [[f64; 2]; 5],
+    /// Part of it that cuts: the force on the edge, along its advance, by region, N.
+    pub cut: [f64; 5],
     /// Points in contact, by region.
     pub points: [u32; 5],
     /// Points that the needle's edge is cutting, by region.
@@ -279,6 +281,7 @@ impl Interface {
                         }
                         touch.force[f.region][0] -= push[0];
                         touch.force[f.region][1] -= push[2];
+                        touch.cut[f.region] += cut;
                         touch.cutting[f.region] += 1;
                     }
                 }
@@ -460,9 +463,9 @@ fn rub(
     if size > limit {
         let k = if size > 0.0 { limit / size } else { 0.0 };
         let new = trial.map(|t| k * t);
-        // Sliding part of the slip: (trial − new)/kt against the mean force.
+        // Sliding part of the slip, (trial − new)/kt, against the mean force of the step.
         let slid: [f64; 3] = std::array::from_fn(|c| (trial[c] - new[c]) / kt);
-        let mean: [f64; 3] = std::array::from_fn(|c| 0.5 * (new[c] + trial[c]));
+        let mean: [f64; 3] = std::array::from_fn(|c| 0.5 * (old[c] + new[c]));
         *gone += dot(mean, slid);
         point.drag = new;
     } else {

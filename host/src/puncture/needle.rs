@@ -66,7 +66,7 @@ impl Shape {
     pub fn distance(&self, s: f64, eta: f64) -> (f64, f64, f64) {
         let r = self.radius;
         // Nearest point of the outline: on the bottom, the bevel, the top, or a corner.
-        let norm = self.tan_bevel.hypot(1.0);
+        let norm = (1.0 + self.tan_bevel * self.tan_bevel).sqrt();
         let (c, sn) = (1.0 / norm, self.tan_bevel / norm);
         let heel = 2.0 * r / self.tan_bevel;
         let along = s * c + (eta + r) * sn; // along the bevel from the tip
@@ -80,11 +80,11 @@ impl Shape {
         } else if eta > r && s >= heel {
             [s, r]
         } else {
-            let k = along.clamp(0.0, heel.hypot(2.0 * r));
+            let k = along.clamp(0.0, heel * norm);
             [k * c, k * sn - r]
         };
         let (ds, de) = (s - near[0], eta - near[1]);
-        let d = ds.hypot(de);
+        let d = (ds * ds + de * de).sqrt();
         if d < 1e-12 {
             return (0.0, 0.0, 0.0);
         }

@@ -2,6 +2,7 @@
 
 use super::decision::Decision;
 use super::events::{Event, events, smooth};
+use super::paper_preset::Comparison;
 use super::run::{Energy, Run};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -81,6 +82,9 @@ pub struct PunctureReport {
     pub stopped: Vec<StoppedRun>,
     /// The decision.
     pub decision: Decision,
+    /// The paper's figures beside ours, if its layers were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paper: Option<Comparison>,
     /// Curves of the runs, in their order (in files of their own, not in the JSON).
     #[serde(skip)]
     pub curves: Vec<Vec<CurvePoint>>,

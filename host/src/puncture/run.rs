@@ -17,6 +17,9 @@ pub struct Numerics {
     pub h_mm: f64,
     /// Advance of the needle in a step, as a share of h.
     pub advance: f64,
+    /// How far the needle goes on along the vein after the puncture, mm (paper: 5). It is lowered
+    /// meanwhile: its lower edge keeps passing through the point of entry.
+    pub along_vein_mm: f64,
     /// Path between the points of the curve, mm.
     pub sample_mm: f64,
     /// Time integration.
@@ -28,8 +31,9 @@ pub struct Numerics {
 impl Default for Numerics {
     fn default() -> Self {
         Self {
-            h_mm: 0.25,
+            h_mm: 0.2,
             advance: 0.002,
+            along_vein_mm: 0.0,
             sample_mm: 0.025,
             integration: Integration::default(),
             stiffness: Stiffness::default(),
@@ -50,6 +54,8 @@ pub struct Sample {
     pub force_n: f64,
     /// Axial force by region, N.
     pub by_region: [f64; 5],
+    /// Part of it that cuts, by region, N.
+    pub cutting: [f64; 5],
     /// Energies at the sample's end.
     pub energy: Energy,
 }
@@ -78,6 +84,11 @@ pub struct Energy {
 }
 
 impl Energy {
+    /// Internal energy: all that is stored in the tissue, its bonds and the contact.
+    pub fn internal(&self) -> f64 {
+        self.strain + self.hourglass + self.springs
+    }
+
     /// What went in and can't be found again.
     pub fn missing(&self) -> f64 {
         self.needle + self.pressure
@@ -136,13 +147,13 @@ impl Run {
             .fold(0.0, f64::max)
     }
 
-    /// Largest kinetic energy against strain energy, once a hundredth of the work is done.
+    /// Largest kinetic energy against internal energy, once a hundredth of the work is done.
     pub fn kinetic_share(&self) -> f64 {
         let all = self.samples.last().map_or(0.0, |s| s.energy.needle.abs());
         self.samples
             .iter()
             .filter(|s| s.energy.needle > 0.01 * all)
-            .map(|s| s.energy.kinetic / (s.energy.strain + s.energy.hourglass).max(1e-12))
+            .map(|s| s.energy.kinetic / s.energy.internal().max(1e-12))
             .fold(0.0, f64::max)
     }
 }
@@ -266,6 +277,28 @@ impl Model {
         }
     }
 
+    /// Energies of both halves.
+    fn energy(&self, needle: &Moving, work: f64) -> Energy {
+        let s = self.body.bricks.energy(&self.body.u);
+        let Energies {
+            contact,
+            friction_stored,
+            crack_stored,
+            crack_gone,
+        } = self.face.energies(&self.body, needle);
+        Energy {
+            needle: 2.0 * work,
+            pressure: 2.0 * self.lumen.work,
+            strain: 2.0 * s.strain,
+            hourglass: 2.0 * s.hourglass,
+            springs: 2.0 * (contact + friction_stored + crack_stored),
+            cut: 2.0 * crack_gone.iter().sum::<f64>(),
+            rubbed: 2.0 * self.face.rubbed,
+            kinetic: 2.0 * self.body.kinetic,
+            damped: 2.0 * (self.body.damped + self.body.mass_sink),
+        }
+    }
+
     /// Distance from the tip to the far wall above which it is, mm.
     fn clearance(&self, tip: [f64; 2]) -> f64 {
         let mut best = (f64::INFINITY, f64::INFINITY);
@@ -280,8 +313,71 @@ impl Model {
     }
 }
 
-/// Runs one angle (degrees). The run ends 1 mm of path after the vein's roof is cut through, or
-/// where the tip would touch the far wall. `progress` hears the path's share, 0 to 1.
+/// Steps over which needle and pressure come up to speed.
+const RAMP: usize = 300;
+
+/// Where the needle goes: along its axis, and then, if asked, along the vein while it is lowered.
+struct Course {
+    angle: f64,
+    /// Path along the axis, mm.
+    moved: f64,
+    /// Path along the vein, mm.
+    along: f64,
+    /// The outline's tip follows the process zone's lowest point by this, mm.
+    lag: f64,
+    speed: f64,
+    /// Steps since it set off.
+    since: usize,
+    velocity: f64,
+    lowering: bool,
+}
+
+impl Course {
+    /// Takes the speed of this step.
+    fn set_off(&mut self) {
+        self.velocity = self.speed * ((self.since as f64 + 0.5) / RAMP as f64).min(1.0);
+    }
+
+    fn step(&mut self) {
+        if self.lowering {
+            self.along += self.velocity;
+        } else {
+            self.moved += self.velocity;
+        }
+        self.since += 1;
+    }
+
+    fn lower(&mut self) {
+        self.lowering = true;
+        self.since = 0;
+    }
+
+    fn placement(&self) -> Placement {
+        let axis = [self.angle.cos(), -self.angle.sin()];
+        let [x, z] = axis.map(|a| a * (self.moved - self.lag));
+        let v = self.velocity;
+        if self.lowering {
+            let x = x + self.along;
+            // tan(angle) = depth/x: the lower edge goes through the point of entry.
+            Placement {
+                tip: [x, z],
+                angle: (-z).atan2(x),
+                velocity: [v, 0.0],
+                turn: z * v / (x * x + z * z),
+            }
+        } else {
+            Placement {
+                tip: [x, z],
+                angle: self.angle,
+                velocity: axis.map(|a| a * v),
+                turn: 0.0,
+            }
+        }
+    }
+}
+
+/// Runs one angle (degrees). The run ends 1 mm of path after the vein's roof is cut through
+/// (or after the way along the vein), or where the tip would touch the far wall. `progress` hears the path's share, 0 to 1.
 ///
 /// # Errors
 /// The run can't go on: a brick is crushed or a number is not finite.
@@ -301,87 +397,82 @@ pub fn puncture(
         setup.needle.bevel_deg.to_radians(),
     );
     let reach = deepest / angle.tan();
-    let x_to = reach.max(setup.needle.diameter_mm / angle.sin()) + 0.8;
+    let x_to =
+        reach.max(setup.needle.diameter_mm / angle.sin()) + 0.8 + numerics.along_vein_mm;
     let mut model = Model::new(setup, numerics, x_to);
     let pressure = setup.pressure_kpa * 1e-3;
     // The process zone touches the surface first; path and depth are of its lowest point.
     let lag = setup.process_zone_mm / angle.sin();
 
     let speed = numerics.advance * h;
-    const RAMP: usize = 300;
-    let steps = (path / speed).ceil() as usize + RAMP / 2;
     let every = ((numerics.sample_mm / speed).round() as usize).max(1);
+    let mut course = Course {
+        angle,
+        moved: 0.0,
+        along: 0.0,
+        lag,
+        speed,
+        since: 0,
+        velocity: 0.0,
+        lowering: false,
+    };
     let mut samples = Vec::new();
     let mut sum = Sample::default();
     let mut counted = 0.0;
-    let mut moved = 0.0_f64;
     let mut work = 0.0;
+    let mut strain = 0.0;
     let mut severed = Severed::default();
     let mut clearance = f64::INFINITY;
     let mut transfixed = false;
-    let mut taken = 0;
-    let needle_at = |moved: f64, v: f64| Moving {
-        shape,
-        at: Placement {
-            tip: [(moved - lag) * angle.cos(), -(moved - lag) * angle.sin()],
-            angle,
-            velocity: [v * angle.cos(), -v * angle.sin()],
-            turn: 0.0,
-        },
-    };
-    for step in 0..steps {
-        let ramp = ((step as f64 + 0.5) / RAMP as f64).min(1.0);
-        let v = speed * ramp;
-        let needle = needle_at(moved, v);
+    let mut steps = 0;
+    let mut last = false;
+    while !last {
+        let load = pressure * (steps as f64 / RAMP as f64).min(1.0);
+        course.set_off();
+        let needle = Moving {
+            shape,
+            at: course.placement(),
+        };
         let m = &mut model;
-        if step % 10 == 0 {
+        if steps % 10 == 0 {
             m.lumen.update(&m.body);
         }
-        m.lumen.apply(&mut m.body, pressure * ramp);
+        m.lumen.apply(&mut m.body, load);
         let touch = m.face.apply(&mut m.body, &needle);
         m.body.internal();
         m.body.advance();
-        m.lumen.book(&m.body, pressure * ramp);
+        m.body.settle(strain);
+        m.lumen.book(&m.body, load);
         work += touch.work;
         let a = needle.at.axis();
         for (r, f) in touch.force.iter().enumerate() {
             let axial = -2.0 * (f[0] * a[0] + f[1] * a[1]);
             sum.by_region[r] += axial;
             sum.force_n += axial;
+            sum.cutting[r] += 2.0 * touch.cut[r];
         }
         counted += 1.0;
-        moved += v;
-        taken = step + 1;
-        if step % 25 == 0 {
+        course.step();
+        steps += 1;
+        let moved = course.moved + course.along;
+        if steps % 25 == 1 {
             m.body.check(moved)?;
-            m.body.settle(m.body.bricks.energy(&m.body.u).strain);
+            strain = m.body.bricks.energy(&m.body.u).strain;
         }
-        if (step + 1) % every == 0 || step + 1 == steps {
-            let needle = needle_at(moved, v);
-            let s = m.body.bricks.energy(&m.body.u);
-            let Energies {
-                contact,
-                friction_stored,
-                crack_stored,
-                crack_gone,
-            } = m.face.energies(&m.body, &needle);
+        last = course.moved >= path || (course.lowering && course.along >= numerics.along_vein_mm);
+        if steps % every == 0 || last {
+            let needle = Moving {
+                shape,
+                at: course.placement(),
+            };
             samples.push(Sample {
                 time_s: moved / setup.needle.speed_mm_s,
                 path_mm: moved,
-                depth_mm: moved * angle.sin(),
+                depth_mm: course.moved * angle.sin(),
                 force_n: sum.force_n / counted,
                 by_region: sum.by_region.map(|f| f / counted),
-                energy: Energy {
-                    needle: 2.0 * work,
-                    pressure: 2.0 * m.lumen.work,
-                    strain: 2.0 * s.strain,
-                    hourglass: 2.0 * s.hourglass,
-                    springs: 2.0 * (contact + friction_stored + crack_stored),
-                    cut: 2.0 * crack_gone.iter().sum::<f64>(),
-                    rubbed: 2.0 * m.face.rubbed,
-                    kinetic: 2.0 * m.body.kinetic,
-                    damped: 2.0 * (m.body.damped + m.body.mass_sink),
-                },
+                cutting: sum.cutting.map(|f| f / counted),
+                energy: m.energy(&needle, work),
             });
             sum = Sample::default();
             counted = 0.0;
@@ -391,14 +482,18 @@ pub fn puncture(
                     *place = Some(moved);
                 }
             }
-            clearance = clearance.min(model.clearance(needle.at.tip));
-            progress(moved / path);
+            clearance = clearance.min(m.clearance(needle.at.tip));
+            progress(((moved + course.along) / (path + numerics.along_vein_mm)).min(1.0));
             if clearance < 0.05 {
                 transfixed = true;
                 break;
             }
-            if severed.path_mm[Region::Vein.index()].is_some_and(|p| moved > p + 1.0) {
-                break;
+            let through = severed.path_mm[Region::Vein.index()].is_some_and(|p| moved > p + 1.0);
+            if through && !course.lowering {
+                if numerics.along_vein_mm <= 0.0 {
+                    break;
+                }
+                course.lower();
             }
         }
     }
@@ -409,7 +504,7 @@ pub fn puncture(
         samples,
         severed,
         bricks: body.bricks.count(),
-        steps: taken,
+        steps,
         seconds: start.elapsed().as_secs_f64(),
         j_range: body.j_range,
         stabilised: body.stabilised,
