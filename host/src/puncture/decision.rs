@@ -180,7 +180,10 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
 }
 
 fn variation(setup: &Setup, fast: &Calibration, angles: &[f64], case: &'static str) -> Variation {
-    let forces: Vec<f64> = angles.iter().map(|&a| fast.angle(setup, a).peak_force_n).collect();
+    let forces: Vec<f64> = angles
+        .iter()
+        .map(|&a| fast.angle(setup, a).peak_force_n)
+        .collect();
     let (mut best, mut most) = (0, 0);
     for (i, f) in forces.iter().enumerate() {
         if *f < forces[best] {
@@ -220,14 +223,18 @@ pub fn decide(
     let paper = rows.iter().min_by(least)?;
     let constrained = rows.iter().filter(|r| r.fits).min_by(least);
     let most = rows.iter().map(|r| r.peak_force_n).fold(0.0, f64::max);
-    let worst = rows.iter().max_by(|a, b| a.peak_force_n.total_cmp(&b.peak_force_n))?;
+    let worst = rows
+        .iter()
+        .max_by(|a, b| a.peak_force_n.total_cmp(&b.peak_force_n))?;
     let error = paper.peak_error_n.hypot(worst.peak_error_n);
     let preference = rows.len() == 1 || most - paper.peak_force_n > error;
     let chosen = match criterion {
         Criterion::Paper => paper,
         // Where nothing fits, the angle that comes nearest to it.
-        Criterion::Constrained => constrained
-            .or_else(|| rows.iter().max_by(|a, b| a.clearance_mm.total_cmp(&b.clearance_mm)))?,
+        Criterion::Constrained => constrained.or_else(|| {
+            rows.iter()
+                .max_by(|a, b| a.clearance_mm.total_cmp(&b.clearance_mm))
+        })?,
     };
     let with = |f: &dyn Fn(&mut Setup)| {
         let mut s = *setup;
@@ -241,8 +248,19 @@ pub fn decide(
         ("toughness halved", setup.with_toughness(0.5)),
         ("toughness doubled", setup.with_toughness(2.0)),
     ];
-    let variations = cases.iter().map(|(case, s)| variation(s, fast, angles, case)).collect();
-    let sentence = sentence(&rows, chosen, paper, constrained, criterion, preference, worst);
+    let variations = cases
+        .iter()
+        .map(|(case, s)| variation(s, fast, angles, case))
+        .collect();
+    let sentence = sentence(
+        &rows,
+        chosen,
+        paper,
+        constrained,
+        criterion,
+        preference,
+        worst,
+    );
     Some(Decision {
         angle_deg: chosen.angle_deg,
         criterion,
@@ -281,7 +299,10 @@ fn sentence(
     };
     if criterion == Criterion::Constrained {
         text += &match constrained {
-            Some(r) => format!("; with room for the bevel in the vein it is {}°", r.angle_deg),
+            Some(r) => format!(
+                "; with room for the bevel in the vein it is {}°",
+                r.angle_deg
+            ),
             None => format!(
                 "; at none of the angles does the bevel fit into the vein, {}° comes nearest",
                 chosen.angle_deg
@@ -317,9 +338,16 @@ pub fn default_decision() -> Decision {
 /// paper's are taken.
 pub fn decision(setup: &Setup, angles: &[f64], criterion: Criterion) -> Decision {
     let fast = Calibration::stored();
-    let usable: Vec<f64> =
-        angles.iter().copied().filter(|a| (10.0..=80.0).contains(a)).collect();
-    let angles: &[f64] = if usable.is_empty() { &PAPER_ANGLES_DEG } else { &usable };
+    let usable: Vec<f64> = angles
+        .iter()
+        .copied()
+        .filter(|a| (10.0..=80.0).contains(a))
+        .collect();
+    let angles: &[f64] = if usable.is_empty() {
+        &PAPER_ANGLES_DEG
+    } else {
+        &usable
+    };
     decide(setup, fast, angles, &[], criterion).unwrap_or_else(|| Decision {
         angle_deg: angles[0],
         criterion,
@@ -352,15 +380,28 @@ mod tests {
     fn of(forces: [f64; 3], criterion: Criterion) -> Decision {
         let setup = Setup::default();
         let known = reference(forces);
-        decide(&setup, Calibration::stored(), &PAPER_ANGLES_DEG, &known, criterion)
-            .expect("three angles")
+        decide(
+            &setup,
+            Calibration::stored(),
+            &PAPER_ANGLES_DEG,
+            &known,
+            criterion,
+        )
+        .expect("three angles")
     }
 
     #[test]
     fn the_paper_takes_the_lowest_peak_force() {
         let d = of([3.0, 2.0, 1.0], Criterion::Paper);
-        assert_eq!((d.angle_deg, d.paper_angle_deg, d.preference), (60.0, 60.0, true));
-        assert!(d.sentence.contains("clinical") && d.sentence.contains("far wall"), "{}", d.sentence);
+        assert_eq!(
+            (d.angle_deg, d.paper_angle_deg, d.preference),
+            (60.0, 60.0, true)
+        );
+        assert!(
+            d.sentence.contains("clinical") && d.sentence.contains("far wall"),
+            "{}",
+            d.sentence
+        );
         assert_eq!(of([1.0, 2.0, 3.0], Criterion::Paper).angle_deg, 30.0);
     }
 
@@ -374,16 +415,30 @@ mod tests {
         let d = of([3.0, 2.0, 1.0], Criterion::Constrained);
         assert_eq!((d.angle_deg, d.paper_angle_deg), (30.0, 60.0));
         assert_eq!(d.constrained_angle_deg, Some(30.0));
-        let steep = decide(&s, Calibration::stored(), &[50.0, 60.0], &[], Criterion::Constrained)
-            .expect("two angles");
+        let steep = decide(
+            &s,
+            Calibration::stored(),
+            &[50.0, 60.0],
+            &[],
+            Criterion::Constrained,
+        )
+        .expect("two angles");
         assert_eq!((steep.constrained_angle_deg, steep.angle_deg), (None, 50.0));
-        assert!(steep.sentence.contains("at none of the angles"), "{}", steep.sentence);
+        assert!(
+            steep.sentence.contains("at none of the angles"),
+            "{}",
+            steep.sentence
+        );
     }
 
     #[test]
     fn forces_within_the_error_are_no_preference() {
         let d = of([2.0, 1.99, 1.98], Criterion::Paper);
-        assert!(!d.preference && d.sentence.starts_with("No preference"), "{}", d.sentence);
+        assert!(
+            !d.preference && d.sentence.starts_with("No preference"),
+            "{}",
+            d.sentence
+        );
     }
 
     #[test]
@@ -391,8 +446,16 @@ mod tests {
         let d = default_decision();
         assert_eq!(d.angle_deg, 60.0);
         assert_eq!(d.rows.len(), 3);
-        assert!(d.rows.iter().all(|r| r.sensitivity.friction_0_3 < r.sensitivity.friction_0_7));
-        assert!(d.rows.iter().all(|r| r.sensitivity.toughness_half < r.sensitivity.toughness_double));
+        assert!(
+            d.rows
+                .iter()
+                .all(|r| r.sensitivity.friction_0_3 < r.sensitivity.friction_0_7)
+        );
+        assert!(
+            d.rows
+                .iter()
+                .all(|r| r.sensitivity.toughness_half < r.sensitivity.toughness_double)
+        );
         assert!(d.variations.iter().any(|v| v.case == "friction 0"));
     }
 }

@@ -302,7 +302,8 @@ impl Calibration {
                 if !p.is_finite() || p < 0.0 {
                     (t, p) = (ay / aa, 0.0);
                 }
-                let rest = yy - 2.0 * (t * ay + p * by) + t * t * aa + 2.0 * t * p * ab + p * p * bb;
+                let rest =
+                    yy - 2.0 * (t * ay + p * by) + t * t * aa + 2.0 * t * p * ab + p * p * bb;
                 let rms = (rest.max(0.0) / n).sqrt();
                 if rms < best.rms_n {
                     best = LayerFit {
@@ -385,11 +386,13 @@ mod tests {
     fn fitting_curves_of_the_model_gives_its_constants_back() {
         let setup = Setup::default();
         let truth = Calibration {
-            layers: [(0.5, 0.6, 0.5), (0.4, 0.2, 1.0), (0.3, 0.1, 0.25)].map(|(t, p, d)| LayerFit {
-                tip: t,
-                pressure_mpa: p,
-                dimple_mm: d,
-                rms_n: 0.0,
+            layers: [(0.5, 0.6, 0.5), (0.4, 0.2, 1.0), (0.3, 0.1, 0.25)].map(|(t, p, d)| {
+                LayerFit {
+                    tip: t,
+                    pressure_mpa: p,
+                    dimple_mm: d,
+                    rms_n: 0.0,
+                }
             }),
             ..Calibration::stored().clone()
         };
@@ -397,10 +400,14 @@ mod tests {
             .iter()
             .map(|&angle_deg| {
                 let angle = angle_deg.to_radians();
-                let path_mm: Vec<f64> =
-                    (0..200).map(|i| 0.01 * f64::from(i) / angle.sin() * 2.0).collect();
+                let path_mm: Vec<f64> = (0..200)
+                    .map(|i| 0.01 * f64::from(i) / angle.sin() * 2.0)
+                    .collect();
                 let layer_n = [0, 1, 2].map(|k| {
-                    path_mm.iter().map(|&s| truth.force(&setup, angle, s).layer_n[k]).collect()
+                    path_mm
+                        .iter()
+                        .map(|&s| truth.force(&setup, angle, s).layer_n[k])
+                        .collect()
                 });
                 ReferenceCurve {
                     angle_deg,
@@ -426,8 +433,9 @@ mod tests {
     fn friction_makes_flat_angles_dear_and_length_in_a_layer_is_bounded() {
         let c = Calibration::stored();
         let s = Setup::default();
-        let peaks: Vec<f64> =
-            (2..=16).map(|k| c.angle(&s, 5.0 * f64::from(k)).peak_force_n).collect();
+        let peaks: Vec<f64> = (2..=16)
+            .map(|k| c.angle(&s, 5.0 * f64::from(k)).peak_force_n)
+            .collect();
         assert!(peaks.windows(2).all(|w| w[1] < w[0] + 1e-9), "{peaks:?}");
         // Far through, only friction on the layers' whole thickness is left.
         let a = 50.0_f64.to_radians();

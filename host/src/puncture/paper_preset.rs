@@ -13,8 +13,11 @@ use serde::Serialize;
 pub const ANGLE_DEG: f64 = 45.0;
 
 /// Contact and puncture in Figure 26, s: skin, fat, vein.
-pub const EVENTS_S: [(&str, f64, f64); 3] =
-    [("skin", 0.0, 0.07), ("fat", 0.14, 0.24), ("vein", 0.28, 0.35)];
+pub const EVENTS_S: [(&str, f64, f64); 3] = [
+    ("skin", 0.0, 0.07),
+    ("fat", 0.14, 0.24),
+    ("vein", 0.28, 0.35),
+];
 
 /// The paper's layers with everything else as in [`Setup::default`].
 pub fn setup() -> Setup {
@@ -73,9 +76,10 @@ pub fn compare(runs: &[RunSummary]) -> Comparison {
         for (ours, (layer, contact, puncture)) in run.events.iter().zip(EVENTS_S) {
             contacts.push(ours.contact_s);
             punctures.push(ours.puncture_s);
-            for (what, mine, theirs) in
-                [("contact", ours.contact_s, contact), ("puncture", ours.puncture_s, puncture)]
-            {
+            for (what, mine, theirs) in [
+                ("contact", ours.contact_s, contact),
+                ("puncture", ours.puncture_s, puncture),
+            ] {
                 match mine {
                     Some(t) if theirs > 0.0 && (t / theirs - 1.0).abs() > 0.25 => {
                         out.differences.push(format!(
@@ -94,9 +98,8 @@ pub fn compare(runs: &[RunSummary]) -> Comparison {
                 });
             }
         }
-        let rising = |v: &[Option<f64>]| {
-            v.iter().all(Option::is_some) && v.windows(2).all(|w| w[0] < w[1])
-        };
+        let rising =
+            |v: &[Option<f64>]| v.iter().all(Option::is_some) && v.windows(2).all(|w| w[0] < w[1]);
         out.order_agrees = Some(rising(&contacts) && rising(&punctures));
         out.rise_and_fall = Some(run.events.iter().all(|e| e.drop > 0.0));
     }
@@ -108,7 +111,8 @@ pub fn compare(runs: &[RunSummary]) -> Comparison {
         let time = falls(&|r| r.duration_s);
         out.trend_agrees = Some(force && time);
         if !force {
-            out.differences.push("peak force does not fall with every step of the angle".to_owned());
+            out.differences
+                .push("peak force does not fall with every step of the angle".to_owned());
         }
     }
     out.differences.push(

@@ -397,8 +397,7 @@ pub fn puncture(
         setup.needle.bevel_deg.to_radians(),
     );
     let reach = deepest / angle.tan();
-    let x_to =
-        reach.max(setup.needle.diameter_mm / angle.sin()) + 0.8 + numerics.along_vein_mm;
+    let x_to = reach.max(setup.needle.diameter_mm / angle.sin()) + 0.8 + numerics.along_vein_mm;
     let mut model = Model::new(setup, numerics, x_to);
     let pressure = setup.pressure_kpa * 1e-3;
     // The process zone touches the surface first; path and depth are of its lowest point.

@@ -70,7 +70,10 @@ fn work_to_part_a_block_is_fracture_energy_times_area() {
     );
     body.hold(0, |_| true);
     body.hold(2, |_| true);
-    let grips: Vec<usize> = body.places().filter(|&p| body.rest(p)[1] > 0.2 - 1e-9).collect();
+    let grips: Vec<usize> = body
+        .places()
+        .filter(|&p| body.rest(p)[1] > 0.2 - 1e-9)
+        .collect();
     for &p in &grips {
         body.prescribe(p, 1, 0.0);
     }
@@ -84,7 +87,11 @@ fn work_to_part_a_block_is_fracture_energy_times_area() {
         body.advance();
     }
     let expected = 0.4 * 0.8 * 0.6;
-    assert!((2.0 * work / expected - 1.0).abs() < 0.01, "{} {expected}", 2.0 * work);
+    assert!(
+        (2.0 * work / expected - 1.0).abs() < 0.01,
+        "{} {expected}",
+        2.0 * work
+    );
     let gone: f64 = face.energies(&body, &Nothing).crack_gone.iter().sum();
     assert!((2.0 * gone / expected - 1.0).abs() < 1e-9);
     let (cut, all) = face.cut_area(Region::Skin);

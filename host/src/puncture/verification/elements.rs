@@ -8,7 +8,11 @@ use super::super::tissue::Setup;
 fn hand() -> (Mesh, Bricks) {
     let s = Setup::default();
     let mesh = Mesh::hand(&s, 0.5, -1.0, 2.0);
-    let bricks = Bricks::new(&mesh, |_| Material::new(s.vein.law, Branch::Stabilised), 0.2);
+    let bricks = Bricks::new(
+        &mesh,
+        |_| Material::new(s.vein.law, Branch::Stabilised),
+        0.2,
+    );
     (mesh, bricks)
 }
 
@@ -76,14 +80,22 @@ fn every_section_quadrilateral_is_convex_and_fills_the_block() {
             .map(|[a, b]| 0.5 * (a[0] + b[0]) * (a[1] - b[1]))
             .sum();
         assert!((lumen / (0.5 * std::f64::consts::PI * 1.25 * 1.25) - 1.0).abs() < 0.03);
-        assert!((area - (y * z - lumen)).abs() < 1e-9, "{area} {}", y * z - lumen);
+        assert!(
+            (area - (y * z - lumen)).abs() < 1e-9,
+            "{area} {}",
+            y * z - lumen
+        );
     }
 }
 
 #[test]
 fn a_linear_field_gives_the_exact_energy_and_no_force_inside() {
     let (mesh, bricks) = hand();
-    let g = [[0.08, 0.03, -0.02], [0.01, -0.05, 0.04], [-0.03, 0.02, -0.02]];
+    let g = [
+        [0.08, 0.03, -0.02],
+        [0.01, -0.05, 0.04],
+        [-0.03, 0.02, -0.02],
+    ];
     let u = field(&mesh, |p| {
         std::array::from_fn(|r| (0..3).map(|c| g[r][c] * p[c]).sum())
     });
@@ -134,7 +146,11 @@ fn a_rigid_rotation_gives_neither_energy_nor_force() {
 fn nalgebra_free_rotation(a: f64, b: f64) -> [[f64; 3]; 3] {
     let (sa, ca) = a.sin_cos();
     let (sb, cb) = b.sin_cos();
-    [[cb, -sb, 0.0], [ca * sb, ca * cb, -sa], [sa * sb, sa * cb, ca]]
+    [
+        [cb, -sb, 0.0],
+        [ca * sb, ca * cb, -sa],
+        [sa * sb, sa * cb, ca],
+    ]
 }
 
 #[test]
@@ -156,7 +172,11 @@ fn forces_are_the_gradient_of_the_energy() {
                 e.strain + e.hourglass
             };
             let d = -(at(e) - at(-e)) / (2.0 * e);
-            assert!((d - f[c][k]).abs() < 1e-5 * (1.0 + d.abs()), "{d} {}", f[c][k]);
+            assert!(
+                (d - f[c][k]).abs() < 1e-5 * (1.0 + d.abs()),
+                "{d} {}",
+                f[c][k]
+            );
             checked += 1;
         }
     }
@@ -167,7 +187,10 @@ fn forces_are_the_gradient_of_the_energy() {
 fn simd_and_scalar_forces_agree() {
     let (mesh, bricks) = hand();
     let u = field(&mesh, wavy);
-    let (a, b) = (forces(&mesh, &bricks, &u, true), forces(&mesh, &bricks, &u, false));
+    let (a, b) = (
+        forces(&mesh, &bricks, &u, true),
+        forces(&mesh, &bricks, &u, false),
+    );
     let scale = b.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
     for (x, y) in a.iter().flatten().zip(b.iter().flatten()) {
         assert!((x - y).abs() < 1e-12 * scale);

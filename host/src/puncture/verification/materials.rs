@@ -71,19 +71,27 @@ fn equibiaxial_and_planar_stress_have_their_closed_forms() {
             let p = stress(&m, [l, l, l.powi(-2)]);
             let equi = 2.0 * (l - l.powi(-5)) * (w1 + l * l * w2);
             let got = p[0] - p[2] * l.powi(-3);
-            assert!((got - equi).abs() < 1e-9 * (1.0 + equi.abs()), "{name} {l}: {got} {equi}");
+            assert!(
+                (got - equi).abs() < 1e-9 * (1.0 + equi.abs()),
+                "{name} {l}: {got} {equi}"
+            );
             let (w1, w2) = slopes(l * l + l.powi(-2) + 1.0);
             let p = stress(&m, [l, 1.0, 1.0 / l]);
             let planar = 2.0 * (l - l.powi(-3)) * (w1 + w2);
             let got = p[0] - p[2] * l.powi(-2);
-            assert!((got - planar).abs() < 1e-9 * (1.0 + planar.abs()), "{name} {l}");
+            assert!(
+                (got - planar).abs() < 1e-9 * (1.0 + planar.abs()),
+                "{name} {l}"
+            );
         }
     }
 }
 
 /// A small generator, so that runs repeat.
 fn noise(seed: &mut u64) -> f64 {
-    *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+    *seed = seed
+        .wrapping_mul(6364136223846793005)
+        .wrapping_add(1442695040888963407);
     (*seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
 }
 
@@ -118,7 +126,11 @@ fn stress_is_the_derivative_of_energy_on_both_branches() {
                         a[r][c] += e;
                         b[r][c] -= e;
                         let d = (m.state(&a).energy - m.state(&b).energy) / (2.0 * e);
-                        assert!((d - p[r][c]).abs() < 2e-6 * (1.0 + d.abs()), "{name} {d} {}", p[r][c]);
+                        assert!(
+                            (d - p[r][c]).abs() < 2e-6 * (1.0 + d.abs()),
+                            "{name} {d} {}",
+                            p[r][c]
+                        );
                     }
                 }
             }
@@ -146,7 +158,8 @@ fn ellipticity(m: &Material, l: [f64; 3]) -> f64 {
         for (x, y) in v.iter_mut().zip(q) {
             *x -= d * y;
         }
-        let size = (n.iter().map(|x| x * x).sum::<f64>() * v.iter().map(|x| x * x).sum::<f64>()).sqrt();
+        let size =
+            (n.iter().map(|x| x * x).sum::<f64>() * v.iter().map(|x| x * x).sum::<f64>()).sqrt();
         if size < 1e-3 {
             continue;
         }

@@ -26,8 +26,16 @@ fn energy_closes_and_layers_are_pierced_in_order() {
     for angle in [45.0, 75.0] {
         let run = run(&setup, angle, &coarse());
         assert!(run.energy_error() < 0.01, "{angle}: {}", run.energy_error());
-        assert!(run.kinetic_share() < 0.05, "{angle}: {}", run.kinetic_share());
-        assert!(run.j_range.0 > 0.9 && run.j_range.1 < 1.1, "{:?}", run.j_range);
+        assert!(
+            run.kinetic_share() < 0.05,
+            "{angle}: {}",
+            run.kinetic_share()
+        );
+        assert!(
+            run.j_range.0 > 0.9 && run.j_range.1 < 1.1,
+            "{:?}",
+            run.j_range
+        );
         let e = events(&run);
         for pair in e.windows(2) {
             assert!(pair[0].contact_s < pair[1].contact_s, "{angle}: {e:?}");
@@ -36,7 +44,11 @@ fn energy_closes_and_layers_are_pierced_in_order() {
         // The needle stands in the lumen at the end.
         assert!(run.severed.path_mm[2].is_some() && !run.transfixed);
         let s = summary(&run);
-        assert!(s.peak_force_n > 0.1 && s.peak_force_n < 5.0, "{}", s.peak_force_n);
+        assert!(
+            s.peak_force_n > 0.1 && s.peak_force_n < 5.0,
+            "{}",
+            s.peak_force_n
+        );
     }
 }
 
@@ -72,7 +84,10 @@ fn a_run_repeats_itself_exactly() {
         advance: 0.006,
         ..Numerics::default()
     };
-    let (a, b) = (run(&Setup::default(), 75.0, &n), run(&Setup::default(), 75.0, &n));
+    let (a, b) = (
+        run(&Setup::default(), 75.0, &n),
+        run(&Setup::default(), 75.0, &n),
+    );
     assert_eq!(a.samples, b.samples);
 }
 

@@ -22,7 +22,10 @@ fn pull(stretch: f64, planar: bool) -> f64 {
     body.hold(1, |p| p[1] < 1e-9 || (planar && p[1] > 1.0 - 1e-9));
     body.hold(2, |p| p[2] < 1e-9);
     body.hold(0, |p| p[0] < 1e-9);
-    let end: Vec<usize> = body.places().filter(|&p| body.rest(p)[0] > 1.0 - 1e-9).collect();
+    let end: Vec<usize> = body
+        .places()
+        .filter(|&p| body.rest(p)[0] > 1.0 - 1e-9)
+        .collect();
     for &p in &end {
         body.prescribe(p, 0, 0.0);
     }
@@ -40,7 +43,10 @@ fn pull(stretch: f64, planar: bool) -> f64 {
 fn a_block_in_uniaxial_tension_and_compression_meets_the_oracle() {
     for (stretch, expected) in [(1.3, 0.533438), (0.8, -0.588060)] {
         let got = pull(stretch, false);
-        assert!((got / expected - 1.0).abs() < 2e-4, "{stretch}: {got} {expected}");
+        assert!(
+            (got / expected - 1.0).abs() < 2e-4,
+            "{stretch}: {got} {expected}"
+        );
     }
 }
 
@@ -97,7 +103,10 @@ fn a_pressurised_vein_opens_as_the_benchmark_says() {
     let coarse = tube(0.065797, 4);
     let fine = tube(0.065797, 8);
     assert!((fine - 1.1).abs() < 6e-4, "{fine}");
-    assert!((fine - 1.1).abs() < 0.5 * (coarse - 1.1).abs() + 1e-5, "{coarse} {fine}");
+    assert!(
+        (fine - 1.1).abs() < 0.5 * (coarse - 1.1).abs() + 1e-5,
+        "{coarse} {fine}"
+    );
     // 0.7 kPa moves the inner wall by 0.895 µm.
     let small = tube(0.7e-3, 8) - 1.0;
     assert!((small / 0.895e-3 - 1.0).abs() < 0.02, "{small}");
