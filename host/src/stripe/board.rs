@@ -24,6 +24,8 @@ use crate::image::{Image, Pixel};
 const BIN: usize = 4;
 /// Fewest columns with a stripe.
 const LEAST: usize = 24;
+/// Shortest side of a square, px, without an image to subtract.
+const SMALL: f64 = 30.0;
 /// A slope above which rows are measured rather than columns.
 const STEEP: f64 = 1.2;
 
@@ -47,6 +49,17 @@ pub fn extract<P: Pixel>(
         rows,
     };
     let outline = Outline::new(corners, columns, rows).ok_or(bad.clone())?;
+    if off.is_none() {
+        let square_px = (corners[1] - corners[0])
+            .norm()
+            .min((corners[columns] - corners[0]).norm());
+        if square_px < SMALL {
+            return Err(StripeError::NeedsOff {
+                square_px,
+                least_px: SMALL,
+            });
+        }
+    }
     let upright = in_columns(on, off, &outline);
     let steep = match &upright {
         Ok((_, slope)) => slope.abs() > STEEP,
@@ -91,13 +104,13 @@ fn in_columns<P: Pixel>(
     if region.u1 < region.u0 + LEAST || region.v1 < region.v0 + 3 * MARGIN {
         return Err(none(0));
     }
-    let chains = on_board(&search::candidates(on, off, &region), outline);
-    let line = find_line(&chains);
+    let inside = on_board(&search::candidates(on, off, &region), outline);
+    let line = find_line(&inside);
     let found = line.as_ref().map_or(0, |l| l.columns);
     let Some(line) = line.filter(|l| l.columns >= needed) else {
         if let Some(off) = off {
-            let swapped = on_board(&search::candidates(off, Some(on), &region), outline);
-            if find_line(&swapped).is_some_and(|l| l.columns >= needed) {
+            let inside = on_board(&search::candidates(off, Some(on), &region), outline);
+            if find_line(&inside).is_some_and(|l| l.columns >= needed) {
                 return Err(StripeError::Swapped);
             }
         }
@@ -115,8 +128,8 @@ fn in_columns<P: Pixel>(
     Ok((points, line.slope()))
 }
 
-/// The chains of candidates inside the outline.
-fn on_board(candidates: &Candidates, outline: &Outline) -> Vec<Chain> {
+/// The candidates inside the outline.
+fn on_board(candidates: &Candidates, outline: &Outline) -> Candidates {
     let mut list = Vec::with_capacity(candidates.list.len());
     let mut first = Vec::with_capacity(candidates.first.len());
     for i in 0..candidates.first.len() - 1 {
@@ -132,7 +145,7 @@ fn on_board(candidates: &Candidates, outline: &Outline) -> Vec<Chain> {
         );
     }
     first.push(list.len() as u32);
-    link::chains(&Candidates { list, first }, 6)
+    Candidates { list, first }
 }
 
 /// A cubic v(u) about the middle column.
@@ -141,10 +154,8 @@ struct Line {
     middle: f64,
     scale: f64,
     coefficients: [f64; 4],
-    /// Candidates that it joins.
+    /// Columns that show it.
     columns: usize,
-    /// Their strength.
-    strength: u64,
 }
 
 impl Line {
@@ -186,19 +197,39 @@ impl Line {
             scale,
             coefficients: [c[0], c[1], c[2], c[3]],
             columns,
-            strength: 0,
         })
     }
 }
 
-/// The line along which most of the candidates' strength lies. White squares show pieces of it.
-fn find_line(chains: &[Chain]) -> Option<Line> {
+/// The line that most columns show. White squares show long pieces of it, black ones at least
+/// candidates; a row of squares taken for a stripe (without an image to subtract) shows nothing on its black ones.
+fn find_line(candidates: &Candidates) -> Option<Line> {
+    let chains = link::chains(candidates, 6);
     let mut best: Option<Line> = None;
-    for seed in 0..chains.len().min(6) {
-        let Some(line) = grow(chains, seed) else {
+    for seed in 0..chains.len().min(10) {
+        let Some(mut line) = grow(&chains, seed) else {
             continue;
         };
-        if best.as_ref().is_none_or(|b| line.strength > b.strength) {
+        // Columns whose candidate lies on the line, of those that have any candidate at all.
+        let columns = candidates.first.len() - 1;
+        let (mut on_line, mut first, mut last) = (0, usize::MAX, 0);
+        for i in 0..columns {
+            let column = candidates.column(i);
+            if column
+                .iter()
+                .any(|c| (f64::from(c.v) - line.at(f64::from(c.u))).abs() < 2.5)
+            {
+                on_line += 1;
+                first = first.min(i);
+                last = last.max(i);
+            }
+        }
+        // Three fifths of the columns between its ends: less is a row of bright squares.
+        if on_line == 0 || 5 * on_line < 3 * (last - first + 1) {
+            continue;
+        }
+        line.columns = on_line;
+        if best.as_ref().is_none_or(|b| line.columns > b.columns) {
             best = Some(line);
         }
     }
@@ -217,13 +248,7 @@ fn grow(chains: &[Chain], seed: usize) -> Option<Line> {
             .flat_map(|(c, _)| &c.points)
             .map(|p| (f64::from(p.u), f64::from(p.v), 1.0));
         let joined = member.iter().filter(|m| **m).count();
-        let mut line = Line::fit(points, if joined > 3 { 2 } else { 1 })?;
-        line.strength = chains
-            .iter()
-            .zip(&member)
-            .filter(|(_, m)| **m)
-            .map(|(c, _)| c.strength)
-            .sum();
+        let line = Line::fit(points, if joined > 3 { 2 } else { 1 })?;
         // A short piece points only roughly: the allowance grows with the distance from it.
         let nearest = (0..chains.len())
             .filter(|i| !member[*i])
@@ -314,7 +339,11 @@ fn fit_columns<P: Pixel>(
     for s in &mut starts {
         s.width = rough;
     }
-    let half = (3.2 * rough + 2.0).ceil() as usize;
+    // Without an image to subtract the window must stay inside a square.
+    let half = match off {
+        Some(_) => (3.2 * rough + 2.0).ceil() as usize,
+        None => (2.8 * rough + 1.0).ceil() as usize,
+    };
     let sparse: Vec<Start> = starts.iter().step_by(chain::STRIDE).copied().collect();
     let first = profile::fit(on, off, None, &sparse, half, noise, true);
     // Widths and speckle from the bright columns: on black squares the noise rules.

@@ -148,7 +148,7 @@ fn measure<P: Pixel>(
         correct_for_albedo(ambient, &mut fits);
     }
     for piece in split(&fits) {
-        if let Some(segment) = segment(piece, settings) {
+        if let Some(segment) = segment(trimmed(piece), settings) {
             segments.push(segment);
         }
     }
@@ -200,6 +200,26 @@ fn split(fits: &[Fit]) -> Vec<&[Fit]> {
     cuts.push(fits.len());
     cuts.windows(2).map(|w| &fits[w[0]..w[1]]).collect()
 }
+
+/// Without the columns at either end in which the light fades out: there the profile is cut by
+/// the surface's edge, or already on what lies behind.
+fn trimmed(fits: &[Fit]) -> &[Fit] {
+    let n = fits.len();
+    let level = |inner: &[Fit]| chain::median(inner.iter().map(|f| f.peak)).unwrap_or(0.0);
+    let (mut a, mut b) = (0, n);
+    while a + LEAST < n && fits[a].peak < FADED * level(&fits[a + 1..(a + 2 * SIDE).min(n)]) {
+        a += 1;
+    }
+    while b > a + LEAST
+        && fits[b - 1].peak < FADED * level(&fits[b.saturating_sub(2 * SIDE)..b - 1])
+    {
+        b -= 1;
+    }
+    &fits[a..b]
+}
+
+/// Part of its neighbours' brightness below which an end column is on the edge.
+const FADED: f32 = 0.35;
 
 /// Whether the lines through the columns before and after `i` miss each other there.
 fn jump(fits: &[Fit], i: usize, start: usize) -> bool {
@@ -351,34 +371,42 @@ fn near_median(samples: &[Sample]) -> Vec<bool> {
         .collect()
 }
 
-/// Segments much dimmer than the strongest, and off its continuation, are the background.
+/// Segments much dimmer than the strongest are the background, unless bright ones lie on both
+/// sides and they continue them (a dark patch of the same surface).
 fn classify(segments: &mut [Segment]) {
-    let typical = |s: &Segment| {
-        let mut all: Vec<f32> = s.points.iter().map(|p| p.intensity).collect();
-        let middle = all.len() / 2;
-        *all.select_nth_unstable_by(middle, f32::total_cmp).1
-    };
-    let brightness: Vec<f32> = segments.iter().map(typical).collect();
+    let brightness: Vec<f32> = segments
+        .iter()
+        .map(|s| chain::median(s.points.iter().map(|p| p.intensity)).unwrap_or(0.0))
+        .collect();
     let Some(main) = (0..segments.len()).max_by(|&a, &b| {
         let energy = |i: usize| brightness[i] * segments[i].points.len() as f32;
         energy(a).total_cmp(&energy(b))
     }) else {
         return;
     };
+    let bright = |i: usize| brightness[i] >= DIM * brightness[main];
+    // Segments are in ascending columns.
     for i in 0..segments.len() {
-        if brightness[i] < 0.35 * brightness[main] && !continues(&segments[main], &segments[i]) {
+        let between = i > 0
+            && i + 1 < segments.len()
+            && bright(i - 1)
+            && bright(i + 1)
+            && continues(&segments[i - 1], &segments[i])
+            && continues(&segments[i], &segments[i + 1]);
+        if !bright(i) && !between {
             segments[i].surface = Surface::Background;
         }
     }
 }
 
-/// Whether `other` lies where `main` would go on (a dark patch of the same surface).
-fn continues(main: &Segment, other: &Segment) -> bool {
-    let ends = |s: &Segment| Some((s.points.first()?.pixel, s.points.last()?.pixel));
-    let (Some((a0, a1)), Some((b0, b1))) = (ends(main), ends(other)) else {
+/// Part of the hand's brightness below which a segment is taken for the background.
+const DIM: f32 = 0.35;
+
+/// Whether the second segment begins where the first would go on.
+fn continues(before: &Segment, after: &Segment) -> bool {
+    let (Some(a), Some(b)) = (before.points.last(), after.points.first()) else {
         return false;
     };
-    let (p, q) = if b0.x > a1.x { (a1, b0) } else { (a0, b1) };
-    let gap = (p.x - q.x).abs();
-    gap < 40.0 && (p.y - q.y).abs() < 3.0 + 0.5 * gap
+    let gap = b.pixel.x - a.pixel.x;
+    gap < 40.0 && (b.pixel.y - a.pixel.y).abs() < 3.0 + 0.5 * gap
 }

@@ -73,6 +73,16 @@ pub enum StripeError {
         /// The least number of them.
         needed: usize,
     },
+    /// Small squares look like a stripe themselves where nothing can be subtracted.
+    #[error(
+        "squares of {square_px:.0} pixels are too small to tell the stripe from them without an image with the laser off (at least {least_px:.0})"
+    )]
+    NeedsOff {
+        /// Shortest side of a square, px.
+        square_px: f64,
+        /// The least side, px.
+        least_px: f64,
+    },
     /// The scene changed between the two images.
     #[error(
         "the two images differ by {grey:.0} grey values away from the stripe: the scene or its lighting changed between them"
