@@ -3,6 +3,7 @@
 //! [`model`] is what a report shows, as plain data; [`chart`] draws; [`page`] puts it together. The
 //! turnable view is three.js, bundled by `host/report-viewer` into `viewer.min.js`.
 
+pub mod assemble;
 pub mod chart;
 pub mod model;
 mod page;

@@ -1,0 +1,141 @@
+//! The pictures: the hand with what was decided drawn on it, and pieces of frames with their
+//! centres.
+
+use crate::geometry::{Camera, Point3, tangent_basis};
+use crate::image::Image;
+use crate::pipeline::Measurement;
+use crate::report::model::{Gray, Picture, StripeSample};
+use crate::session::{Session, SessionError};
+use crate::stripe::hand::{self, HandSettings, Surface};
+
+/// Columns of a stripe's piece.
+const PIECE: usize = 160;
+
+/// The image, in eight bits.
+fn read(session: &Session, name: &str) -> Result<Image<u8>, SessionError> {
+    use crate::session::Depth;
+    match session.depth {
+        Depth::Eight => session.laser::<u8>(name),
+        Depth::Sixteen => {
+            let wide = session.laser::<u16>(name)?;
+            let (width, height) = (wide.width(), wide.height());
+            let pixels = wide.pixels().iter().map(|p| (p >> 8) as u8).collect();
+            Ok(Image::from_vec(width, height, pixels).unwrap_or_else(|| Image::new(0, 0, 0)))
+        }
+    }
+}
+
+/// The hand (ambient image, or the middle frame), with entry, vein, region and needle.
+pub fn picture(
+    session: &Session,
+    m: &Measurement,
+    camera: &Camera,
+) -> Result<Option<Picture>, SessionError> {
+    let Some(scan) = &session.manifest.scan else {
+        return Ok(None);
+    };
+    let middle = scan.frames.get(scan.frames.len() / 2).map(|f| &f.image);
+    let Some(name) = scan.ambient.as_ref().or(middle) else {
+        return Ok(None);
+    };
+    let image = read(session, name)?;
+    let d = &m.decision;
+    let basis = tangent_basis(&d.plane.normal);
+    let seen = |p: &Point3| camera.project(p).map(|u| [u.x, u.y]);
+    let circle = (0..72).filter_map(|k| {
+        let (sin, cos) = (f64::from(k) * 5.0).to_radians().sin_cos();
+        let r = m.request.radius_mm;
+        seen(&(d.entry + basis.column(0) * (r * cos) + basis.column(1) * (r * sin)))
+    });
+    let path = &d.needle.path;
+    let needle = (0..=20).filter_map(|k| {
+        seen(&(path.start + (path.entry - path.start) * (f64::from(k) / 20.0)))
+    });
+    Ok(Some(Picture {
+        image: Gray {
+            width: image.width(),
+            height: image.height(),
+            pixels: image.into_vec(),
+        },
+        entry: [m.request.pixel.x, m.request.pixel.y],
+        vein: m.request.vein.iter().map(|p| [p.x, p.y]).collect(),
+        region: circle.collect(),
+        needle: needle.collect(),
+    }))
+}
+
+/// Pieces of the frames nearest to the entry, a quarter and three quarters of the scan.
+pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, SessionError> {
+    let Some(scan) = &session.manifest.scan else {
+        return Ok(Vec::new());
+    };
+    let ambient = match &scan.ambient {
+        Some(name) => Some(read(session, name)?),
+        None => None,
+    };
+    let nearest = m
+        .cloud
+        .iter()
+        .min_by(|p, q| {
+            let far = |c: &crate::cloud::CloudPoint| (c.position - m.decision.entry).norm();
+            far(p).total_cmp(&far(q))
+        })
+        .map_or(scan.frames.len() / 2, |p| p.frame as usize);
+    let mut picked = vec![nearest.saturating_sub(5), nearest, nearest + 5];
+    picked.retain(|&i| i < scan.frames.len());
+    picked.dedup();
+    let mut samples = Vec::new();
+    for frame in picked.into_iter().filter_map(|i| scan.frames.get(i)) {
+        let image = read(session, &frame.image)?;
+        // A frame without a stripe has nothing to show.
+        let segments = hand::extract(&image, ambient.as_ref(), &HandSettings::default());
+        let centres: Vec<[f64; 4]> = segments
+            .unwrap_or_default()
+            .iter()
+            .filter(|s| s.surface == Surface::Hand)
+            .flat_map(|s| &s.points)
+            .map(|p| [p.pixel.x, p.pixel.y, p.variance.sqrt(), f64::from(p.quality)])
+            .collect();
+        samples.extend(piece(frame.slide_mm, &frame.image, &image, &centres, m.request.pixel.x));
+    }
+    Ok(samples)
+}
+
+/// The piece around column u.
+fn piece(
+    slide_mm: f64,
+    name: &str,
+    image: &Image<u8>,
+    centres: &[[f64; 4]],
+    u: f64,
+) -> Option<StripeSample> {
+    let left = (u - PIECE as f64 / 2.0).max(0.0) as usize;
+    let right = (left + PIECE).min(image.width());
+    let inside: Vec<[f64; 4]> = centres
+        .iter()
+        .copied()
+        .filter(|c| (left as f64..right as f64).contains(&c[0]))
+        .collect();
+    let rows = |pick: fn(f64, f64) -> f64, start: f64| inside.iter().fold(start, |m, c| pick(m, c[1]));
+    let (top, bottom) = (rows(f64::min, f64::INFINITY), rows(f64::max, f64::NEG_INFINITY));
+    if !(top.is_finite() && bottom.is_finite()) {
+        return None;
+    }
+    let top = (top - 15.0).max(0.0) as usize;
+    let bottom = ((bottom + 16.0).max(0.0) as usize).min(image.height());
+    let pixels = (top..bottom)
+        .flat_map(|v| image.row(v).get(left..right).unwrap_or_default())
+        .copied()
+        .collect();
+    Some(StripeSample {
+        name: name.to_owned(),
+        slide_mm,
+        image: Gray {
+            width: right.saturating_sub(left),
+            height: bottom.saturating_sub(top),
+            pixels,
+        },
+        origin: [left as f64, top as f64],
+        centres: inside,
+    })
+}
