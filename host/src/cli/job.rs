@@ -66,7 +66,8 @@ fn length(text: &str) -> Result<f64, String> {
 }
 
 impl NeedleArgs {
-    fn settings(&self) -> (needle::Settings, AngleSource) {
+    /// What they ask for, and who asked for the angle.
+    pub fn settings(&self) -> (needle::Settings, AngleSource) {
         let (degrees, source) = match self.needle_angle {
             Some(degrees) => (degrees, AngleSource::CommandLine),
             None => (DEFAULT_ANGLE_DEG, AngleSource::Default),

@@ -5,7 +5,8 @@ use super::job::{
     MethodName, NeedleArgs, calibration_text, measure_and_write, measurement_text, needs_scan,
 };
 use crate::output::{CalibrationFile, write_json};
-use crate::pipeline::{Stage, Times, calibrate};
+use crate::pipeline::{Method, Stage, Times, calibrate};
+use crate::report;
 use crate::session::Session;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -52,6 +53,19 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         begun,
         out,
     )?;
+    let (settings, source) = args.needle.settings();
+    let page = report::assemble(report::Sources {
+        session: &session,
+        calibrated: Some(&calibrated),
+        camera: &calibrated.camera,
+        measured: &measured,
+        angle_source: source.words(),
+        settings: report::settings(Method::from(args.method).name(), &settings),
+        puncture: None,
+        truth: Vec::new(),
+        times: &times,
+    })?;
+    report::write(&page, &args.out.join("report.html"))?;
     out.result(&result, || {
         format!(
             "{}\n{}\nwritten: {}",

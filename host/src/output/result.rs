@@ -22,6 +22,17 @@ pub enum AngleSource {
     Default,
 }
 
+impl AngleSource {
+    /// For a reader.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::CommandLine => "--needle-angle",
+            Self::Puncture => "the puncture decision",
+            Self::Default => "the program's default",
+        }
+    }
+}
+
 /// result.json.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ResultFile {

@@ -3,13 +3,16 @@
 //! [`model`] is what a report shows, as plain data; [`chart`] draws; [`page`] puts it together. The
 //! turnable view is three.js, bundled by `host/report-viewer` into `viewer.min.js`.
 
-pub mod assemble;
 pub mod chart;
 pub mod model;
 mod page;
 mod raster;
+mod sources;
+mod write;
 
 pub use model::Report;
+pub use sources::settings;
+pub use write::{ReportError, Sources, assemble, write};
 
 /// The whole page.
 pub fn render(report: &Report) -> String {

@@ -18,9 +18,8 @@ pub fn needle(m: &Measurement, angle_source: &str, robot: Option<&[[f64; 4]; 4]>
     let u = &d.uncertainty;
     let mut frames = vec![frame("camera", d, &|p| *p, &|v| *v)];
     if let Some(t) = robot {
-        let turn = |v: &Vector3| {
-            Vector3::from_fn(|i, _| t[i][0] * v.x + t[i][1] * v.y + t[i][2] * v.z)
-        };
+        let turn =
+            |v: &Vector3| Vector3::from_fn(|i, _| t[i][0] * v.x + t[i][1] * v.y + t[i][2] * v.z);
         let place =
             |p: &Point3| Point3::from(turn(&p.coords) + Vector3::new(t[0][3], t[1][3], t[2][3]));
         frames.push(frame("robot", d, &place, &turn));
@@ -82,13 +81,24 @@ pub fn scene(m: &Measurement) -> Scene {
     let down = d.plane.normal * (0.5 * r);
     Scene {
         points: kept()
-            .map(|p| [p.position.x as f32, p.position.y as f32, p.position.z as f32])
+            .map(|p| {
+                [
+                    p.position.x as f32,
+                    p.position.y as f32,
+                    p.position.z as f32,
+                ]
+            })
             .collect(),
         brightness: kept()
             .map(|p| (255.0 * p.intensity / brightest).clamp(0.0, 255.0) as u8)
             .collect(),
         point_size_mm: 0.3 * (every as f64).sqrt(),
-        plane: Some([corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)]),
+        plane: Some([
+            corner(-1.0, -1.0),
+            corner(1.0, -1.0),
+            corner(1.0, 1.0),
+            corner(-1.0, 1.0),
+        ]),
         section: Some([
             three(&(d.entry - along + up).coords),
             three(&(d.entry + along + up).coords),

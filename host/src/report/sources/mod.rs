@@ -27,6 +27,45 @@ pub fn provenance(session: &str, settings: Vec<(String, String)>, times: &Times)
     }
 }
 
+/// Every threshold of the measurement, by name, in the units of the screen.
+pub fn settings(method: &str, s: &crate::needle::Settings) -> Vec<(String, String)> {
+    let l = &s.limits;
+    let degrees = |r: f64| format!("{:.2}°", r.to_degrees());
+    [
+        ("method", method.to_owned()),
+        ("needle angle", degrees(s.angle)),
+        (
+            "path begins before the entry by",
+            format!("{} mm", s.stand_off_mm),
+        ),
+        ("path ends under the plane by", format!("{} mm", s.depth_mm)),
+        (
+            "stripe error shared by a whole stripe",
+            format!("{} px", s.stripe_bias_px),
+        ),
+        ("region: fewest points", l.points.to_string()),
+        ("region: fewest stripes", l.stripes.to_string()),
+        ("region: widest gap bridged", format!("{} mm", l.gap_mm)),
+        (
+            "region: least coverage",
+            format!("{:.0} %", 100.0 * l.coverage),
+        ),
+        (
+            "region: largest RMS distance over radius",
+            l.roughness.to_string(),
+        ),
+        ("largest σ of the angle", degrees(l.angle_sigma)),
+        ("largest σ of the entry", format!("{} mm", l.entry_sigma_mm)),
+        (
+            "largest angle between normal and sight",
+            degrees(l.obliquity),
+        ),
+    ]
+    .into_iter()
+    .map(|(name, value)| (name.to_owned(), value))
+    .collect()
+}
+
 /// The time as ISO 8601, UTC, to the second.
 pub fn utc_now() -> String {
     let seconds = std::time::SystemTime::now()

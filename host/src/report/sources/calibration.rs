@@ -25,7 +25,11 @@ pub fn calibration(c: &Calibrated) -> Calibration {
                 l.table_1
                     .iter()
                     .map(|(name, before, after)| {
-                        (name.clone(), before.reprojection_px2, after.reprojection_px2)
+                        (
+                            name.clone(),
+                            before.reprojection_px2,
+                            after.reprojection_px2,
+                        )
                     })
                     .collect()
             })
@@ -101,10 +105,7 @@ fn views(c: &Calibrated) -> Vec<BoardView> {
 fn tilt(pose: &Pose) -> [f64; 2] {
     let n = pose.rotation * crate::geometry::Vector3::z();
     let n = if n.z < 0.0 { -n } else { n };
-    [
-        (-n.y).atan2(n.z).to_degrees(),
-        n.x.atan2(n.z).to_degrees(),
-    ]
+    [(-n.y).atan2(n.z).to_degrees(), n.x.atan2(n.z).to_degrees()]
 }
 
 fn positions(l: &Light) -> Vec<Position> {

@@ -48,9 +48,8 @@ pub fn picture(
         seen(&(d.entry + basis.column(0) * (r * cos) + basis.column(1) * (r * sin)))
     });
     let path = &d.needle.path;
-    let needle = (0..=20).filter_map(|k| {
-        seen(&(path.start + (path.entry - path.start) * (f64::from(k) / 20.0)))
-    });
+    let needle = (0..=20)
+        .filter_map(|k| seen(&(path.start + (path.entry - path.start) * (f64::from(k) / 20.0))));
     Ok(Some(Picture {
         image: Gray {
             width: image.width(),
@@ -94,9 +93,22 @@ pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, 
             .iter()
             .filter(|s| s.surface == Surface::Hand)
             .flat_map(|s| &s.points)
-            .map(|p| [p.pixel.x, p.pixel.y, p.variance.sqrt(), f64::from(p.quality)])
+            .map(|p| {
+                [
+                    p.pixel.x,
+                    p.pixel.y,
+                    p.variance.sqrt(),
+                    f64::from(p.quality),
+                ]
+            })
             .collect();
-        samples.extend(piece(frame.slide_mm, &frame.image, &image, &centres, m.request.pixel.x));
+        samples.extend(piece(
+            frame.slide_mm,
+            &frame.image,
+            &image,
+            &centres,
+            m.request.pixel.x,
+        ));
     }
     Ok(samples)
 }
@@ -116,8 +128,12 @@ fn piece(
         .copied()
         .filter(|c| (left as f64..right as f64).contains(&c[0]))
         .collect();
-    let rows = |pick: fn(f64, f64) -> f64, start: f64| inside.iter().fold(start, |m, c| pick(m, c[1]));
-    let (top, bottom) = (rows(f64::min, f64::INFINITY), rows(f64::max, f64::NEG_INFINITY));
+    let rows =
+        |pick: fn(f64, f64) -> f64, start: f64| inside.iter().fold(start, |m, c| pick(m, c[1]));
+    let (top, bottom) = (
+        rows(f64::min, f64::INFINITY),
+        rows(f64::max, f64::NEG_INFINITY),
+    );
     if !(top.is_finite() && bottom.is_finite()) {
         return None;
     }

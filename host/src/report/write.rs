@@ -1,0 +1,79 @@
+//! `report.html` of a processed recording.
+
+use super::model::{Puncture, Report, TruthRow};
+use super::sources;
+use crate::output::{OutputError, write_whole};
+use crate::pipeline::{Calibrated, Measurement, Times};
+use crate::session::{Session, SessionError};
+use std::path::Path;
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// An image that it shows can't be read.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The file can't be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
+
+/// What a report is made of.
+#[derive(Debug)]
+pub struct Sources<'a> {
+    /// The recording.
+    pub session: &'a Session,
+    /// Its calibration, if it was made in the same run.
+    pub calibrated: Option<&'a Calibrated>,
+    /// The camera that measured.
+    pub camera: &'a crate::geometry::Camera,
+    /// The measured hand.
+    pub measured: &'a Measurement,
+    /// Where the angle comes from, in words.
+    pub angle_source: &'a str,
+    /// Name and value of settings and thresholds.
+    pub settings: Vec<(String, String)>,
+    /// Force curves and decision.
+    pub puncture: Option<Puncture>,
+    /// Errors against the truth of a simulated rig.
+    pub truth: Vec<TruthRow>,
+    /// Time per stage.
+    pub times: &'a Times,
+}
+
+/// The report's data.
+///
+/// # Errors
+/// An image that can't be read.
+pub fn assemble(s: Sources) -> Result<Report, ReportError> {
+    let folder = s.session.file().parent().unwrap_or(Path::new("."));
+    let title = folder
+        .canonicalize()
+        .ok()
+        .and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
+        .unwrap_or_else(|| folder.display().to_string());
+    let warnings = s.calibrated.map_or(&[][..], |c| &c.warnings);
+    let robot = s.session.manifest.robot_from_camera.as_ref();
+    Ok(Report {
+        title,
+        verdict: Some(sources::verdict(s.measured, warnings)),
+        needle: Some(sources::needle(s.measured, s.angle_source, robot)),
+        picture: sources::picture(s.session, s.measured, s.camera)?,
+        scene: Some(sources::scene(s.measured)),
+        calibration: s.calibrated.map(sources::calibration),
+        stripes: sources::stripes(s.session, s.measured)?,
+        puncture: s.puncture,
+        truth: s.truth,
+        provenance: sources::provenance(&folder.display().to_string(), s.settings, s.times),
+    })
+}
+
+/// Writes the page, whole or not at all.
+///
+/// # Errors
+/// The file can't be written.
+pub fn write(report: &Report, path: &Path) -> Result<(), ReportError> {
+    let page = super::render(report);
+    write_whole(path, |w| w.write_all(page.as_bytes()))?;
+    Ok(())
+}
