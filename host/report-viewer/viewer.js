@@ -84,7 +84,7 @@ function start(host, data) {
   const centre = new Vector3(...data.focus);
   const first = () => {
     camera.up.set(0, -1, 0); // v points down in the image
-    camera.position.copy(centre).add(new Vector3(0.55, 0.75, -1).normalize().multiplyScalar(data.reach * 3.2));
+    camera.position.copy(centre).add(new Vector3(-0.3, 0.6, -1).normalize().multiplyScalar(data.reach * 3.6));
     controls.target.copy(centre);
     controls.update();
   };

@@ -50,17 +50,53 @@ pub fn picture(
     let path = &d.needle.path;
     let needle = (0..=20)
         .filter_map(|k| seen(&(path.start + (path.entry - path.start) * (f64::from(k) / 20.0))));
-    Ok(Some(Picture {
-        image: Gray {
-            width: image.width(),
-            height: image.height(),
-            pixels: image.into_vec(),
+    Ok(Some(cut(
+        &image,
+        Picture {
+            image: Gray::default(),
+            entry: [m.request.pixel.x, m.request.pixel.y],
+            vein: m.request.vein.iter().map(|p| [p.x, p.y]).collect(),
+            region: circle.collect(),
+            needle: needle.collect(),
         },
-        entry: [m.request.pixel.x, m.request.pixel.y],
-        vein: m.request.vein.iter().map(|p| [p.x, p.y]).collect(),
-        region: circle.collect(),
-        needle: needle.collect(),
-    }))
+    )))
+}
+
+/// The part of the image around all that is drawn, twice the region's width to each side.
+fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
+    let extent = |points: &[[f64; 2]], k: usize| {
+        points
+            .iter()
+            .fold((drawn.entry[k], drawn.entry[k]), |(lo, hi), p| {
+                (lo.min(p[k]), hi.max(p[k]))
+            })
+    };
+    let limits = |k: usize, size: usize| {
+        let region = extent(&drawn.region, k);
+        let margin = 2.0 * (region.1 - region.0).max(20.0);
+        let needle = extent(&drawn.needle, k);
+        let lo = (region.0.min(needle.0.max(region.0 - margin)) - margin).max(0.0) as usize;
+        let hi = (region.1.max(needle.1.min(region.1 + margin)) + margin).max(0.0) as usize;
+        (lo.min(size), hi.min(size))
+    };
+    let (u, v) = (limits(0, image.width()), limits(1, image.height()));
+    drawn.image = Gray {
+        width: u.1 - u.0,
+        height: v.1 - v.0,
+        pixels: (v.0..v.1)
+            .flat_map(|row| image.row(row).get(u.0..u.1).unwrap_or_default())
+            .copied()
+            .collect(),
+    };
+    let shift = |p: &mut [f64; 2]| {
+        p[0] -= u.0 as f64;
+        p[1] -= v.0 as f64;
+    };
+    shift(&mut drawn.entry);
+    drawn.vein.iter_mut().for_each(shift);
+    drawn.region.iter_mut().for_each(shift);
+    drawn.needle.iter_mut().for_each(shift);
+    drawn
 }
 
 /// Pieces of the frames nearest to the entry, a quarter and three quarters of the scan.
