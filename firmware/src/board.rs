@@ -38,6 +38,10 @@ pub enum Reboot {
 
 /// What takes time.
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one, and no heap to put it on"
+)]
 pub(crate) enum Job {
     None,
     Home(Homing),

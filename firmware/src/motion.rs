@@ -310,14 +310,13 @@ impl Run {
     /// Pushes words that begin before `until` (cycles since the start), a slice at most.
     fn feed<E: Engine>(&mut self, engine: &mut E, until: Cycles) {
         let mut room = engine.step_room().min(SLICE);
-        while room > 0 && self.segments.time() < until {
-            match self.segments.next() {
-                Some(word) => engine.push_step(word),
-                None => {
-                    self.fed = true;
-                    engine.finish();
-                    return;
-                }
+        while !self.fed && room > 0 && self.segments.time() < until {
+            if let Some(word) = self.segments.next() {
+                engine.push_step(word);
+            }
+            if self.segments.steps() >= self.segments.profile().steps() {
+                self.fed = true;
+                engine.finish();
             }
             room -= 1;
         }

@@ -388,14 +388,14 @@ mod tests {
                 max: Steps(240_000)
             }
         );
-        // 0.4 mm at 20 mm/s is 20 ms; pulse and frame need 20.1 ms.
+        // 320 steps of 7813 cycles (16 000 steps/s in whole cycles); pulse and frame need 20 100 µs.
         assert!(matches!(
             refusal(ScanRequest {
                 spacing_um: 400,
                 ..r
             }),
             Refusal::TriggersTooClose {
-                gap_us: 20_000,
+                gap_us: 20_001,
                 needed_us: 20_100,
                 ..
             }

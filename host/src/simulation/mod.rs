@@ -5,6 +5,7 @@
 //! scene was made of.
 
 mod hand;
+pub mod mcu;
 mod profile;
 mod random;
 mod raster;

@@ -1,0 +1,100 @@
+//! The simulated board in step with real time, behind a pseudo-terminal: any program that can
+//! open a serial port can talk to it.
+
+use super::{SimulatedBoard, VirtualPipe};
+use cannula_shared::units::Micros;
+use serialport::{SerialPort, TTYPort};
+use std::io::{self, ErrorKind, Read, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// A simulated board that runs by itself.
+pub struct RealTime {
+    board: VirtualPipe,
+    path: String,
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    /// Kept open, or the pseudo-terminal hangs up between two clients.
+    _slave: TTYPort,
+}
+
+impl RealTime {
+    /// Starts the board; see [`Self::path`] for where it listens.
+    pub fn start(board: SimulatedBoard) -> io::Result<Self> {
+        let (mut master, mut slave) = TTYPort::pair()?;
+        slave.set_exclusive(false)?;
+        let path = slave
+            .name()
+            .ok_or_else(|| io::Error::other("the pseudo-terminal has no name"))?;
+        master.set_timeout(Duration::from_millis(1))?;
+        let board = VirtualPipe::new(board);
+        let end = Arc::new(AtomicBool::new(false));
+        let (shared, ended) = (board.clone(), end.clone());
+        let thread = std::thread::Builder::new()
+            .name("simulated board".into())
+            .spawn(move || {
+                let began = Instant::now();
+                let start = shared.board().now().to_micros_down().0;
+                let mut buffer = [0; 1024];
+                let mut out: Vec<u8> = Vec::new();
+                while !ended.load(Ordering::Relaxed) {
+                    // Waits a millisecond for bytes: the pace of the loop.
+                    let read = match master.read(&mut buffer) {
+                        Ok(n) => n,
+                        Err(e)
+                            if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) =>
+                        {
+                            0
+                        }
+                        Err(_) => {
+                            std::thread::sleep(Duration::from_millis(1));
+                            0
+                        }
+                    };
+                    {
+                        let mut board = shared.board();
+                        if let Some(bytes) = buffer.get(..read).filter(|b| !b.is_empty()) {
+                            board.send(bytes);
+                        }
+                        let elapsed =
+                            u64::try_from(began.elapsed().as_micros()).unwrap_or(u64::MAX);
+                        board.run_until(Micros(start + elapsed).to_cycles());
+                        out.extend(board.receive());
+                    }
+                    // Nobody may be reading: what does not fit is lost, as on a cable.
+                    if !out.is_empty() {
+                        let _ = master.write_all(&out);
+                        out.clear();
+                    }
+                }
+            })?;
+        Ok(RealTime {
+            board,
+            path,
+            end,
+            thread: Some(thread),
+            _slave: slave,
+        })
+    }
+
+    /// The port to connect to.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// The board, to look at and to disturb.
+    pub fn board(&self) -> &VirtualPipe {
+        &self.board
+    }
+}
+
+impl Drop for RealTime {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
