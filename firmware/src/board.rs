@@ -157,7 +157,7 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
         let sensed = self.inputs.or(engine.latched());
 
         // What has happened.
-        let mut full = None;
+        let mut full = false;
         let ended = self
             .motion
             .poll(now, engine, &mut self.link.ledger, &mut full);
@@ -166,8 +166,15 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
         if let Some(ended) = ended {
             self.ended(now, engine, ended);
         }
-        if let Some(index) = full {
-            self.fault(now, engine, Fault::LedgerFull { index });
+        if full {
+            // What was armed and had not fired by then will not.
+            self.fault(
+                now,
+                engine,
+                Fault::LedgerFull {
+                    index: self.triggers,
+                },
+            );
         }
 
         // What must not go on.

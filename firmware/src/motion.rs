@@ -188,13 +188,13 @@ impl Motion {
     }
 
     /// Feeds the engine; how the move ended, if it did. When the ledger has no place for the next
-    /// trigger, the move stops before it: `full` is then the first trigger that will not fire.
+    /// trigger, `full` is set, nothing more fires, and the move slows down.
     pub fn poll<E: Engine>(
         &mut self,
         now: Micros,
         engine: &mut E,
         ledger: &mut Ledger,
-        full: &mut Option<u32>,
+        full: &mut bool,
     ) -> Option<Ended> {
         let run = self.run.as_mut()?;
         if engine.halted() {
@@ -208,8 +208,8 @@ impl Motion {
         }
         if !run.fed {
             run.arm(engine, ledger);
-            if let Some(index) = run.unarmed_within_reach() {
-                *full = Some(index);
+            if run.unarmed_within_reach() {
+                *full = true;
                 engine.cancel_triggers();
                 run.pass = None;
                 run.slow_down();
@@ -291,14 +291,13 @@ impl Run {
         }
     }
 
-    /// The next trigger, if it is not armed although the next words would take the slide past it.
-    fn unarmed_within_reach(&self) -> Option<u32> {
-        let pass = self.pass.as_ref()?;
-        let position = pass.gaps.position()?;
+    /// Whether the next trigger is not armed although the next words would take the slide past it.
+    fn unarmed_within_reach(&self) -> bool {
+        let Some(position) = self.pass.as_ref().and_then(|pass| pass.gaps.position()) else {
+            return false;
+        };
         let distance = i64::from(position.0) - i64::from(self.begin.0);
-        // One slice of words ahead of what has been given out; words are short (4 ms).
-        let reach = i64::from(self.segments.steps()) + i64::from(self.reach());
-        (distance <= reach).then(|| pass.gaps.index())
+        distance <= i64::from(self.segments.steps()) + i64::from(self.reach())
     }
 
     /// Steps that the look-ahead can add in one call: at the fastest interval of the move.

@@ -120,8 +120,8 @@ pub(super) struct Contact {
     reached: bool,
     /// Bounces until then.
     until: u64,
-    since: u64,
     moved: i64,
+    slips: bool,
 }
 
 /// A bouncing contact changes this often: every 40 µs.
@@ -144,7 +144,10 @@ impl Contact {
             Switch::Loose { by } => {
                 let was = self.reached;
                 self.change(beyond + self.moved >= 0, now, 0);
-                if was && !self.reached {
+                self.slips |= was && !self.reached;
+                // It slips once the slide has let go of it by more than that.
+                if self.slips && beyond + self.moved + i64::from(by) < -16 {
+                    self.slips = false;
                     self.moved += i64::from(by);
                 }
                 self.reached
@@ -155,7 +158,6 @@ impl Contact {
     fn change(&mut self, reached: bool, now: u64, bounce: u64) {
         if reached != self.reached {
             self.reached = reached;
-            self.since = now;
             self.until = now + bounce;
         }
     }
