@@ -4,6 +4,7 @@
 use super::{SimulatedBoard, VirtualPipe};
 use cannula_shared::units::Micros;
 use serialport::{SerialPort, TTYPort};
+use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,8 +17,9 @@ pub struct RealTime {
     path: String,
     end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    /// Kept open, or the pseudo-terminal hangs up between two clients.
-    _slave: TTYPort,
+    /// Kept open, or the pseudo-terminal hangs up between two clients. Not as a port: that would
+    /// hold a lock that the client wants.
+    _slave: File,
 }
 
 impl RealTime {
@@ -28,6 +30,8 @@ impl RealTime {
         let path = slave
             .name()
             .ok_or_else(|| io::Error::other("the pseudo-terminal has no name"))?;
+        let held = hold_open(&path)?;
+        drop(slave);
         master.set_timeout(Duration::from_millis(1))?;
         let board = VirtualPipe::new(board);
         let end = Arc::new(AtomicBool::new(false));
@@ -88,6 +92,16 @@ impl RealTime {
     pub fn board(&self) -> &VirtualPipe {
         &self.board
     }
+}
+
+/// Opens a terminal without making it this process's own.
+fn hold_open(path: &str) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true);
+    // O_NOCTTY, on the system where its value is known for sure.
+    #[cfg(target_os = "linux")]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, 0o400);
+    options.open(path)
 }
 
 impl Drop for RealTime {
