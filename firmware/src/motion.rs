@@ -15,6 +15,8 @@ use cannula_shared::units::{Cycles, Micros, Steps};
 
 /// How far past now the engine is fed.
 pub const LOOK_AHEAD: Micros = Micros(20_000);
+const LOOK_AHEAD_CYCLES: u32 = 20_000 * 125;
+const _: () = assert!(LOOK_AHEAD_CYCLES as u64 == LOOK_AHEAD.to_cycles().0);
 /// The most step words in one call.
 const SLICE: usize = 64;
 /// A move that is this much later than planned will not end.
@@ -48,6 +50,8 @@ struct Run {
     begin: Steps,
     away: bool,
     started: Micros,
+    /// When it is overdue, from the start: roots are too dear to be taken at every poll.
+    overdue: Micros,
     /// All words have been pushed.
     fed: bool,
     stopping: bool,
@@ -143,6 +147,7 @@ impl Motion {
             begin,
             away,
             started: Micros(0),
+            overdue: profile.duration().to_micros_up().after(OVERDUE),
             fed: false,
             stopping: false,
             pass,
@@ -227,13 +232,7 @@ impl Motion {
                 Ended::Failed(Fault::StepCount { planned, counted })
             });
         }
-        let end = run
-            .segments
-            .profile()
-            .duration()
-            .to_micros_up()
-            .after(OVERDUE);
-        if now.since(run.started) > end {
+        if now.since(run.started) > run.overdue {
             self.abort(engine);
             return Some(Ended::Failed(Fault::Timeout {
                 doing: Doing::Moving,
@@ -302,8 +301,7 @@ impl Run {
 
     /// Steps that the look-ahead can add in one call: at the fastest interval of the move.
     fn reach(&self) -> u32 {
-        let interval = u64::from(self.segments.profile().cruise_interval().max(1));
-        u32::try_from(LOOK_AHEAD.to_cycles().0 / interval).unwrap_or(u32::MAX)
+        LOOK_AHEAD_CYCLES / self.segments.profile().cruise_interval().max(1)
     }
 
     /// Pushes words that begin before `until` (cycles since the start), a slice at most.

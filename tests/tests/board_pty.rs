@@ -85,7 +85,7 @@ fn homing_scanning_and_silence_over_a_pseudo_terminal() {
     simulated.board().board().kill_cpu();
     let error = board.status().unwrap_err();
     assert!(matches!(error, LinkError::Timeout { .. }), "{error}");
-    std::mem::forget(board);
+    drop(board);
     let error = Board::connect(simulated.path())
         .err()
         .expect("nobody there");

@@ -21,6 +21,8 @@ use std::time::Duration;
 const GREETING: Micros = Micros(3_000_000);
 /// How long a reply may take: checking a long scan before it moves takes the board a second.
 const ANSWER: Micros = Micros(5_000_000);
+/// How long a board that is dropped is asked to stop: it stops by itself without a heartbeat.
+const FAREWELL: Micros = Micros(300_000);
 /// The longest that the lock is held while waiting for bytes.
 const SLICE: Micros = Micros(2_000);
 /// The board's silence after which a running job is given up.
@@ -166,6 +168,10 @@ impl Board {
 
     /// Sends a command and waits for its reply.
     pub fn command(&self, command: Command) -> Result<Reply> {
+        self.command_within(command, ANSWER)
+    }
+
+    fn command_within(&self, command: Command, limit: Micros) -> Result<Reply> {
         let began = {
             let mut core = self.core();
             let now = core.pipe.now();
@@ -181,11 +187,11 @@ impl Board {
                     reply => Ok(reply),
                 };
             }
-            if now.since(began) > ANSWER {
+            if now.since(began) > limit {
                 core.session.give_up();
                 return Err(LinkError::Timeout {
                     doing: name(&command),
-                    seconds: ANSWER.0 as f64 * 1e-6,
+                    seconds: limit.0 as f64 * 1e-6,
                 });
             }
         }
@@ -419,7 +425,7 @@ impl Drop for Board {
         // board does the same by itself.
         let over = self.core().over;
         if !over {
-            let _ = self.command(Command::Stop);
+            let _ = self.command_within(Command::Stop, FAREWELL);
         }
         self.end.store(true, Ordering::Relaxed);
         if let Some(thread) = self.heartbeat.take() {

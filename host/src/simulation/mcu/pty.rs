@@ -79,7 +79,7 @@ impl RealTime {
             path,
             end,
             thread: Some(thread),
-            _slave: slave,
+            _slave: held,
         })
     }
 
