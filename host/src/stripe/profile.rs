@@ -50,8 +50,6 @@ pub(super) struct Fit {
     pub chi2: f32,
     /// Saturated pixels in the window.
     pub saturated: f32,
-    /// Background under the stripe where it is brightest, grey, and its step over the window.
-    pub background: f32,
     /// Difference of the background above and below the stripe, grey.
     pub background_step: f32,
 }
@@ -79,7 +77,6 @@ struct Windows {
     mask: [Lane; ROWS],
     /// 1 for a saturated pixel.
     saturated: [Lane; ROWS],
-    background: Lane,
     step: Lane,
 }
 
@@ -118,7 +115,6 @@ impl Windows {
             albedo: [[1.0; LANES]; ROWS],
             mask: zero,
             saturated: zero,
-            background: [0.0; LANES],
             step: [0.0; LANES],
         }
     }
@@ -171,7 +167,6 @@ impl Windows {
             };
             let base = 0.5 * (above + below);
             let slope = (below - above) / (2 * half + 1 + outer) as f32;
-            self.background[l] = base;
             self.step[l] = below - above;
             for k in 0..=2 * half {
                 let v = middle + k - half;
@@ -354,7 +349,6 @@ impl Windows {
                 width: width[l],
                 chi2: chi2[l],
                 saturated,
-                background: self.background[l] + base[l],
                 background_step: self.step[l],
             });
         }
