@@ -4,6 +4,7 @@
 use super::solve::{Block, POSE};
 use crate::board::{BoardGeometry, Corner};
 use crate::geometry::{Camera, PARAMETERS, Point3, Pose, Vector2, Vector3};
+use crate::simd::widest;
 
 /// Huber's threshold in standard deviations of a whitened two-dimensional residual: 1 % of good
 /// corners lie beyond it.
@@ -59,6 +60,22 @@ impl CornerView {
     /// Adds the view's normal equations, residuals divided by `scale` (the standard deviation of
     /// a whitened residual); false where a corner falls behind the camera.
     pub fn linearise<const G: usize>(
+        &self,
+        camera: &Camera,
+        pose: &Pose,
+        scale: f64,
+        block: &mut Block<G>,
+    ) -> bool {
+        let mut done = false;
+        widest(
+            #[inline(always)]
+            || done = self.add(camera, pose, scale, block),
+        );
+        done
+    }
+
+    #[inline(always)]
+    fn add<const G: usize>(
         &self,
         camera: &Camera,
         pose: &Pose,

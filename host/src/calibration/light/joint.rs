@@ -16,6 +16,7 @@ use crate::calibration::homography::pose_through;
 use crate::calibration::solve::{Block, Cholesky, POSE, Problem, Stop, System, minimise};
 use crate::calibration::{Covariance, LightModel, PARAMETERS};
 use crate::geometry::{Camera, PARAMETERS as CAMERA, Pose};
+use crate::simd::widest;
 
 /// Board poses with a stripe that a plane needs.
 const LEAST_VIEWS: usize = 2;
@@ -62,6 +63,22 @@ impl StripeNoise {
 /// The common error is eliminated (Sherman & Morrison): with C = diag(1/ω) + τ²·1·1ᵀ,
 /// JᵀC⁻¹J = Σ ω·JᵀJ − κ·(Σ ω·J)ᵀ(Σ ω·J), κ = τ²/(1 + τ²·Σ ω).
 pub(super) fn add_strand(
+    strand: &Strand,
+    rig: &Rig,
+    pose: &Pose,
+    noise: &StripeNoise,
+    block: &mut Block<PARAMETERS>,
+) -> bool {
+    let mut done = false;
+    widest(
+        #[inline(always)]
+        || done = add_pieces(strand, rig, pose, noise, block),
+    );
+    done
+}
+
+#[inline(always)]
+fn add_pieces(
     strand: &Strand,
     rig: &Rig,
     pose: &Pose,
@@ -290,7 +307,7 @@ pub fn calibrate(
     };
     let mut last: Option<System<PARAMETERS>> = None;
     // Weights and noise from the residuals, then the solve; at the end only the weights.
-    for (round, step_sigma) in [0.3, 0.1, 0.03, 0.01].into_iter().enumerate() {
+    for (round, step_sigma) in [0.3, 0.1, 0.01].into_iter().enumerate() {
         noise.centre = refresh(&mut strands, &rig, &poses[own..])?;
         if round > 0 {
             components(&strands, &rig, &poses[own..], &mut noise);
