@@ -17,6 +17,8 @@ const LEAST_VARIANCE: f64 = 1e-10;
 #[derive(Clone, Debug)]
 pub struct CornerView {
     corners: Vec<Prepared>,
+    /// Whether its residuals say anything of the others'.
+    counts: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +51,19 @@ impl CornerView {
                 })
             })
             .collect::<Option<Vec<_>>>()?;
-        Some(Self { corners })
+        Some(Self {
+            corners,
+            counts: true,
+        })
+    }
+
+    /// The view with hardly any weight: enough to hold its own pose, too little to move the rest.
+    pub fn set_aside(mut self) -> Self {
+        for corner in &mut self.corners {
+            corner.whitening = corner.whitening.map(|w| 1e-3 * w);
+        }
+        self.counts = false;
+        self
     }
 
     /// How many corners there are.
@@ -118,6 +132,9 @@ impl CornerView {
 
     /// What the residuals of this view look like.
     pub fn residuals(&self, camera: &Camera, pose: &Pose, scale: f64, out: &mut Residuals) {
+        if !self.counts {
+            return;
+        }
         for corner in &self.corners {
             let Some(seen) = camera.project(&pose.apply(&corner.point)) else {
                 continue;

@@ -220,6 +220,11 @@ pub fn calibrate(
 ) -> Result<LightCalibration, LightError> {
     let (positions, position_of) = positions(views)?;
     let travels = positions.len() > 1;
+    // A light view whose corners did not fit the camera's other views has no pose to trust.
+    let good = |view: usize| match data {
+        CameraData::Views(own) => camera.used.get(own.len() + view) != Some(&false),
+        CameraData::Prior => true,
+    };
     let light_corners = views
         .iter()
         .enumerate()
@@ -227,6 +232,7 @@ pub fn calibrate(
             let needed = board.corners();
             CornerView::new(&v.corners, board)
                 .filter(|c| c.len() == needed)
+                .map(|c| if good(view) { c } else { c.set_aside() })
                 .ok_or(LightError::BadCorners { view, needed })
         })
         .collect::<Result<Vec<_>, _>>()?;
@@ -238,7 +244,7 @@ pub fn calibrate(
 
     let mut strands = Vec::new();
     let mut of_view = vec![Vec::new(); views.len()];
-    for (v, view) in views.iter().enumerate() {
+    for (v, view) in views.iter().enumerate().filter(|(v, _)| good(*v)) {
         for (k, stripe) in view.stripes.iter().enumerate() {
             let strand = Strand::new(v, position_of[v][k], stripe);
             if strand.len() > 0 {

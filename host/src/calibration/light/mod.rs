@@ -53,8 +53,9 @@ pub struct BoardStripe {
 /// What the joint solve may use to refine the camera.
 #[derive(Clone, Copy, Debug)]
 pub enum CameraData<'a> {
-    /// The views that [`super::camera::calibrate`] was given, in the same order. Corners of light
-    /// views may have stood behind them there; they are not to be repeated here.
+    /// The views that [`super::camera::calibrate`] was given, in the same order. The corners of the
+    /// light views may have stood behind them there, all of them and in their order; they are not
+    /// to be repeated here. A light view that was left out there is left out here.
     Views(&'a [Vec<Corner>]),
     /// No views: the camera and its covariance are a prior. It must not come from the light views'
     /// own corners, which would then count twice.

@@ -652,3 +652,26 @@ fn agrees_with_a_dense_solver() {
         assert!(d.abs() < 0.1 * sigma, "light {i}: {d} of {sigma}");
     }
 }
+
+#[test]
+fn a_light_view_that_moved_is_left_out() {
+    let clean = few(13);
+    let good = solve(&clean).unwrap();
+    let mut s = few(13);
+    // The board bent in the image that gave the corners.
+    for (i, corner) in s.light_views[4].corners.iter_mut().enumerate() {
+        let x = (i % 8) as f64 - 3.5;
+        corner.pixel.x += 0.4 * x * x;
+    }
+    let found = solve(&s).unwrap();
+    for i in [0, 1, 12] {
+        let sigma = good.covariance[(i, i)].sqrt();
+        let (a, b) = (errors(&found)[i], errors(&good)[i]);
+        assert!(
+            (a - b).abs() < 1.5 * sigma,
+            "{i}: {a} against {b} ± {sigma}"
+        );
+    }
+    assert_eq!(found.view_measures[4].1.points, 0);
+    assert_eq!(found.poses.len(), 9);
+}
