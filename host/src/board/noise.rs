@@ -109,9 +109,12 @@ pub(super) fn mask_foreign(site: &mut Site, noise: &Noise, strict: bool) -> bool
         .collect();
     site.patch.weight[..n].fill(1.0);
     site.masked = 0.0;
+    site.darker = 0.0;
     if (foreign.len() as f64) <= CHANCE * n as f64 {
         return false;
     }
+    let darker = foreign.iter().filter(|&&i| site.residual[i] < 0.0).count();
+    site.darker = darker as f64 / foreign.len() as f64;
     // A bitmap of the patch's surroundings.
     let extent = |v: &[f32]| {
         v[..n].iter().fold((i32::MAX, i32::MIN), |(a, b), &x| {

@@ -44,6 +44,8 @@ pub(super) struct Site {
     /// Whether the fit can be believed so far.
     sound: bool,
     pub(super) masked: f64,
+    /// Part of the foreign pixels that are darker than the board: a stripe only adds light.
+    pub(super) darker: f64,
     /// Root mean square residual of the first fit.
     rough: f64,
     /// Sound with the help of its neighbours.
@@ -346,6 +348,7 @@ impl<'a, P: Pixel> Board<'a, P> {
             reach: [0.0; 4],
             sound: false,
             masked: 0.0,
+            darker: 0.0,
             rough: 0.0,
             leaning: false,
             prior: None,
@@ -579,6 +582,7 @@ impl<'a, P: Pixel> Board<'a, P> {
         let c = site.contrast() / contrast;
         site.sound = sound
             && site.masked < MOST_MASKED
+            && (site.masked < LEANING || site.darker < 0.15)
             && site.parameters.free[index::HALF] * sign > 0.0
             && (site.position() - p).norm() < 0.1 * shortest
             && (0.5..2.0).contains(&c);
@@ -601,7 +605,9 @@ impl<'a, P: Pixel> Board<'a, P> {
             .map(|s| s.steps[0].norm().min(s.steps[1].norm()))
             .fold(f64::INFINITY, f64::min);
         let limit = MOST_BLUR * shortest;
-        if blur > limit {
+        let failed = self.sites.iter().any(|s| !s.sound);
+        // Where corners are lost, half the limit is reason enough.
+        if blur > limit || (failed && blur > 0.5 * limit) {
             return Err(NotFound::TooBlurred {
                 blur_px: point_spread(blur),
                 limit_px: point_spread(limit),
@@ -661,7 +667,9 @@ impl<'a, P: Pixel> Board<'a, P> {
                     site.look();
                     mask_foreign(site, &noise, false);
                     // Not to be predicted from.
-                    site.leaning = site.sound;
+                    site.leaning = site.sound
+                        && site.masked < MOST_MASKED
+                        && (site.masked < LEANING || site.darker < 0.15);
                     site.sound = false;
                 } else {
                     self.sites[i].prior = None;

@@ -132,15 +132,9 @@ impl<P: Pixel> Search<'_, P> {
     }
 
     fn reason(self, level: &Level, shift: u32) -> NotFound {
-        let wanted = self.geometry.corners();
-        if let Some(reason) = self.failure.reason
-            && self.failure.grid >= (wanted / 4).max(4)
-        {
-            return reason;
-        }
         let grey = |x: i32| f64::from(x) * f64::from(1u32 << shift) / 4.0;
         let (low, high) = percentiles(level);
-        if high - low < 12 {
+        if self.failure.reason.is_none() && high - low < 12 {
             return NotFound::NoContrast {
                 darkest: grey(low),
                 brightest: grey(high),
@@ -157,12 +151,19 @@ impl<P: Pixel> Search<'_, P> {
         let limit_px = MOST_BLUR * largest / 3.0;
         let blur_px = f64::from(high - low) / steepest(level) / std::f64::consts::TAU.sqrt()
             * level.step as f64;
-        if blur_px > limit_px {
+        let wanted = self.geometry.corners();
+        let reason = self
+            .failure
+            .reason
+            .filter(|_| self.failure.grid >= (wanted / 4).max(4));
+        // Corners that the search saw and the fit lost in an image without one sharp edge.
+        let unclear = matches!(reason, None | Some(NotFound::Hidden { .. }));
+        if unclear && blur_px > limit_px {
             return NotFound::TooBlurred { blur_px, limit_px };
         }
-        NotFound::NoCorners {
+        reason.unwrap_or(NotFound::NoCorners {
             seen: self.failure.seen,
-        }
+        })
     }
 }
 
