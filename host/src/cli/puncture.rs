@@ -5,9 +5,12 @@ use super::output::BadArgument;
 use crate::progress::Progress;
 use crate::puncture::Calibration;
 use crate::puncture::decision::{self, Criterion, Reference};
-use crate::puncture::output::{PunctureReport, StoppedRun, curve, summary, write};
+use crate::puncture::explicit::Stopped;
+use crate::puncture::output::{
+    Convergence, PunctureReport, RunSummary, StoppedRun, curve, summary, write,
+};
 use crate::puncture::paper_preset;
-use crate::puncture::run::{Numerics, puncture};
+use crate::puncture::run::{Numerics, Run, puncture};
 use crate::puncture::tissue::Setup;
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -42,6 +45,10 @@ pub struct Args {
     /// Go on along the vein after the puncture, lowering the needle, mm (paper: 5).
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     along: f64,
+    /// Also run each angle with half the steps' size and with half the bricks' size, and print how
+    /// far the peak moves. The second takes about 16 times as long as the run itself.
+    #[arg(long)]
+    convergence: bool,
     /// Size of a brick where the needle passes, mm.
     #[arg(long, value_name = "MM")]
     mesh: Option<f64>,
@@ -80,24 +87,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     // The longest path first: the cores finish together.
     angles.sort_by(f64::total_cmp);
     angles.dedup();
-    const PARTS: usize = 50;
-    out.start("puncture", PARTS * angles.len());
-    let results: Vec<_> = angles
-        .par_iter()
-        .with_max_len(1)
-        .map(|&angle| {
-            let told = AtomicUsize::new(0);
-            let progress = |share: f64| {
-                let now = (share * PARTS as f64) as usize;
-                while told.load(Ordering::Relaxed) < now {
-                    told.fetch_add(1, Ordering::Relaxed);
-                    out.step();
-                }
-            };
-            puncture(&setup, angle, &numerics, &progress)
-        })
-        .collect();
-    out.finish();
+    let jobs: Vec<_> = angles.iter().map(|&a| (a, numerics)).collect();
+    let results = run_all(&setup, &jobs, out);
     let (mut runs, mut curves, mut energies) = (Vec::new(), Vec::new(), Vec::new());
     let mut stopped = Vec::new();
     for (&angle_deg, result) in angles.iter().zip(results) {
@@ -116,6 +107,11 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             }
         }
     }
+    let convergence = if args.convergence {
+        refine(&setup, &runs, &numerics, out)
+    } else {
+        Vec::new()
+    };
     let criterion = match args.criterion.as_str() {
         "constrained" => Criterion::Constrained,
         _ => Criterion::Paper,
@@ -136,6 +132,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     };
     let paper = args.paper_layers.then(|| paper_preset::compare(&runs));
     let report = PunctureReport {
+        convergence,
         paper,
         format: "cannula-puncture/1",
         runs,
@@ -159,6 +156,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             );
         }
         text += &report.decision.sentence;
+        for c in &report.convergence {
+            text += &format!("\n{:>5}°  {}", c.angle_deg, c.say());
+        }
         if let Some(paper) = &report.paper {
             for e in &paper.events {
                 let ours = e.ours_s.map_or("-".to_owned(), |t| format!("{t:.2}"));
@@ -170,4 +170,68 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         text
     })
+}
+
+/// Runs angles side by side, each on one core.
+fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<Run, Stopped>> {
+    const PARTS: usize = 50;
+    out.start("puncture", PARTS * jobs.len());
+    let results = jobs
+        .par_iter()
+        .with_max_len(1)
+        .map(|(angle, numerics)| {
+            let told = AtomicUsize::new(0);
+            let progress = |share: f64| {
+                let now = (share * PARTS as f64) as usize;
+                while told.load(Ordering::Relaxed) < now {
+                    told.fetch_add(1, Ordering::Relaxed);
+                    out.step();
+                }
+            };
+            puncture(setup, *angle, numerics, &progress)
+        })
+        .collect();
+    out.finish();
+    results
+}
+
+/// The same angles with smaller steps and smaller bricks.
+fn refine(
+    setup: &Setup,
+    runs: &[RunSummary],
+    numerics: &Numerics,
+    out: &Output,
+) -> Vec<Convergence> {
+    let mut jobs = Vec::new();
+    for r in runs {
+        let finer = [
+            Numerics {
+                advance: 0.5 * numerics.advance,
+                ..*numerics
+            },
+            Numerics {
+                h_mm: 0.5 * numerics.h_mm,
+                ..*numerics
+            },
+        ];
+        jobs.extend(finer.map(|n| (r.angle_deg, n)));
+    }
+    let results = run_all(setup, &jobs, out);
+    runs.iter()
+        .zip(results.chunks(2))
+        .map(|(r, pair)| {
+            let peak = |k: usize| {
+                pair.get(k)
+                    .and_then(|p| p.as_ref().ok())
+                    .map(|p| summary(p).peak_force_n)
+            };
+            Convergence {
+                angle_deg: r.angle_deg,
+                mesh_mm: numerics.h_mm,
+                peak_force_n: r.peak_force_n,
+                peak_half_step_n: peak(0),
+                peak_half_mesh_n: peak(1),
+            }
+        })
+        .collect()
 }

@@ -214,13 +214,8 @@ impl Interface {
         let steep = needle.steepest() + 0.1;
         for f in &mut self.facet {
             let mut at = [[0.0; 3]; 4];
-            for k in 0..4 {
-                let n = f.node[k];
-                at[k] = [
-                    f.rest[k][0] + body.u[0][n],
-                    body.u[1][n],
-                    f.rest[k][1] + body.u[2][n],
-                ];
+            for ((at, &n), rest) in at.iter_mut().zip(&f.node).zip(&f.rest) {
+                *at = [rest[0] + body.u[0][n], body.u[1][n], rest[1] + body.u[2][n]];
             }
             let middle = |c: usize| 0.25 * (at[0][c] + at[1][c] + at[2][c] + at[3][c]);
             let zone = f.law.map_or(0.02, |l| l.zone());
@@ -338,8 +333,8 @@ impl Interface {
                 f.touched = false;
             }
             for (&n, force) in f.node.iter().zip(&nodal) {
-                for c in 0..3 {
-                    body.f[c][n] += force[c];
+                for (f, x) in body.f.iter_mut().zip(force) {
+                    f[n] += x;
                 }
             }
         }

@@ -143,7 +143,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
     let clearance = clearance_mm(setup, angle);
     let straight = setup.layers.lumen_mm / angle.sin();
     let mut flags = Vec::new();
-    if angle_deg < CLINICAL_DEG[0] || angle_deg > CLINICAL_DEG[1] {
+    if !(CLINICAL_DEG[0]..=CLINICAL_DEG[1]).contains(&angle_deg) {
         flags.push("outside the clinical 15–30°".to_owned());
     }
     if clearance < 0.0 {

@@ -288,8 +288,7 @@ impl WithSimd for Scan<'_> {
                 s.limit_ratio.store(&mut ratios);
                 now.store(&mut grown);
                 for a in 0..lanes.min(along - i) {
-                    // Written so that a NaN is caught too.
-                    if !(js[a] >= health.least_j) {
+                    if js[a] < health.least_j || js[a].is_nan() {
                         health.least_j = js[a];
                         health.at = (r, i + a);
                         if js[a].is_nan() {
@@ -365,6 +364,7 @@ fn stiffness<T: Lane>(b: &Bricks, row: &Row, t: T, i: usize) -> T {
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop)] // one index into five arrays of three components
 fn forces<T: Lane>(b: &Bricks, t: T, u: &Field, f: &mut Field, scratch: &mut Scratch) {
     for row in &b.rows {
         let (by0, by1) = (t.splat(row.by[0]), t.splat(row.by[1]));

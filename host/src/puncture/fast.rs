@@ -1,15 +1,17 @@
 //! The fast model: force at any angle in microseconds, calibrated once on the reference solver.
 //!
 //! ```text
-//! F(s) = Σ_L { T_L Γ_L g_L(s) + p_L π D [ (μ + tan β) ∫_bevel φ dx + μ ∫_shaft dx ] }
+//! F(s) = Σ_L { T_L Γ_L g_L(s) + (p_L + q_L Γ_L) (μ + m_L) π D [ ∫_bevel φ dx + ∫_shaft dx ] }
 //! ```
 //! The sum goes over skin, fat and the vein's roof, the integrals over the part of the needle that
 //! stands in the layer: at a path s that is x from s − s₁ to s − s₀ behind the tip, where the layer
 //! lies from s₀ to s₁ = s₀ + thickness/sin θ on the path. φ = x/B grows along the first half of the
 //! bevel, B = R/tan β, until the needle has its full width. g is the tip's part: it rises while the
 //! tip comes into the layer, stays while it is inside, and half of it stays until the heel has
-//! passed. The tissue gives way under the needle: s is taken less a dimple d_L. T (N per kJ/m²),
-//! p (MPa) and d (mm) are fitted per layer; the residuals are stored with them (calibration.json).
+//! passed. The tissue gives way under the needle: s is taken less a dimple d_L. What is tough is cut
+//! less far and squeezes the needle more (q); what the needle pushes aside resists without friction
+//! too (m). T (N per kJ/m²), p (MPa), q (MPa per kJ/m²), m and d (mm) are fitted per layer, peaks
+//! weighing more than feet; the residuals are stored with them (calibration.json).
 
 use super::events::smooth;
 use super::run::Run;
@@ -70,6 +72,10 @@ pub struct LayerFit {
     pub tip: f64,
     /// p: pressure on the needle, MPa.
     pub pressure_mpa: f64,
+    /// q: pressure per fracture energy, MPa/(kJ/m²).
+    pub pressure_per_toughness: f64,
+    /// m: what adds to friction.
+    pub wedge: f64,
     /// d: dimple, mm.
     pub dimple_mm: f64,
     /// RMS residual of the layer's force over all curves, N.
@@ -145,7 +151,6 @@ struct Crossing {
     long: f64,
     toughness: f64,
     friction: f64,
-    tan_bevel: f64,
     perimeter: f64,
     /// Half of the bevel's length, mm.
     half_bevel: f64,
@@ -168,14 +173,13 @@ impl Crossing {
             long: thick / sine,
             toughness: tissue.toughness_kj_m2,
             friction: setup.friction,
-            tan_bevel,
             perimeter: PI * setup.needle.diameter_mm,
             half_bevel: 0.5 * setup.needle.diameter_mm / tan_bevel,
             fade: 2.0 * setup.process_zone_mm,
         }
     }
 
-    /// What T and p multiply when the tip has come to `s` (the dimple taken off).
+    /// What T and p/(μ + m) multiply when the tip has come to `s` (the dimple taken off).
     fn basis(&self, s: f64) -> (f64, f64) {
         let x1 = s - self.from; // how far the tip is past the layer's top
         if x1 <= 0.0 {
@@ -186,9 +190,7 @@ impl Crossing {
         // ∫ φ from 0 to x on the bevel, and the length on the shaft.
         let bevel = |x: f64| 0.5 * x.min(b) * x.min(b) / b;
         let shaft = |x: f64| (x - b).max(0.0);
-        let rub = self.perimeter
-            * ((self.friction + self.tan_bevel) * (bevel(x1) - bevel(past))
-                + self.friction * (shaft(x1) - shaft(past)));
+        let rub = self.perimeter * (bevel(x1) - bevel(past) + shaft(x1) - shaft(past));
         let g = if past <= 0.0 {
             (2.0 * x1 / self.long).min(1.0)
         } else if past > 2.0 * b {
@@ -225,8 +227,10 @@ impl Calibration {
     fn at(&self, layers: &[Crossing; 3], s: f64) -> FastForce {
         let mut out = FastForce::default();
         for (k, fit) in self.layers.iter().enumerate() {
-            let (tip, rub) = layers[k].basis(s - fit.dimple_mm);
-            out.layer_n[k] = fit.tip * tip + fit.pressure_mpa * rub;
+            let layer = &layers[k];
+            let (tip, rub) = layer.basis(s - fit.dimple_mm);
+            let pressure = fit.pressure_mpa + fit.pressure_per_toughness * layer.toughness;
+            out.layer_n[k] = fit.tip * tip + pressure * (layer.friction + fit.wedge) * rub;
         }
         out
     }
@@ -269,53 +273,7 @@ impl Calibration {
                 s
             })
             .collect();
-        let fit_layer = |k: usize| {
-            let mut best = LayerFit {
-                rms_n: f64::INFINITY,
-                ..LayerFit::default()
-            };
-            for step in 0..=30 {
-                let dimple = 0.05 * f64::from(step);
-                let (mut aa, mut ab, mut bb, mut ay, mut by, mut yy, mut n) =
-                    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-                for (c, s) in curves.iter().zip(&setups) {
-                    let layer = Crossing::new(s, c.angle_deg.to_radians(), k);
-                    // Each run counts alike, whatever its length.
-                    let w = 1.0 / c.path_mm.len() as f64;
-                    for (&path, &y) in c.path_mm.iter().zip(&c.layer_n[k]) {
-                        let (a, b) = layer.basis(path - dimple);
-                        aa += w * a * a;
-                        ab += w * a * b;
-                        bb += w * b * b;
-                        ay += w * a * y;
-                        by += w * b * y;
-                        yy += w * y * y;
-                        n += w;
-                    }
-                }
-                // Both constants are positive by their meaning.
-                let det = aa * bb - ab * ab;
-                let (mut t, mut p) = ((ay * bb - by * ab) / det, (by * aa - ay * ab) / det);
-                if !t.is_finite() || t < 0.0 {
-                    (t, p) = (0.0, by / bb);
-                }
-                if !p.is_finite() || p < 0.0 {
-                    (t, p) = (ay / aa, 0.0);
-                }
-                let rest =
-                    yy - 2.0 * (t * ay + p * by) + t * t * aa + 2.0 * t * p * ab + p * p * bb;
-                let rms = (rest.max(0.0) / n).sqrt();
-                if rms < best.rms_n {
-                    best = LayerFit {
-                        tip: t,
-                        pressure_mpa: p,
-                        dimple_mm: dimple,
-                        rms_n: rms,
-                    };
-                }
-            }
-            best
-        };
+        let fit_layer = |k: usize| fit_layer(k, curves, &setups);
         let mut fit = Self {
             mesh_mm,
             layers: [fit_layer(0), fit_layer(1), fit_layer(2)],
@@ -361,6 +319,81 @@ impl Calibration {
     }
 }
 
+/// One layer's constants: dimple and wedge by search, the others by least squares.
+fn fit_layer(k: usize, curves: &[ReferenceCurve], setups: &[Setup]) -> LayerFit {
+    let mut best = LayerFit {
+        rms_n: f64::INFINITY,
+        ..LayerFit::default()
+    };
+    for (d, m) in (0..=30).flat_map(|d| (0..=16).map(move |m| (d, m))) {
+        let (dimple, wedge) = (0.05 * f64::from(d), 0.05 * f64::from(m));
+        let mut normal = [[0.0; 3]; 3];
+        let (mut right, mut yy, mut n) = ([0.0; 3], 0.0, 0.0);
+        for (c, s) in curves.iter().zip(setups) {
+            let layer = Crossing::new(s, c.angle_deg.to_radians(), k);
+            let most = c.layer_n[k].iter().copied().fold(1e-12, f64::max);
+            for (&path, &y) in c.path_mm.iter().zip(&c.layer_n[k]) {
+                let (tip, rub) = layer.basis(path - dimple);
+                let rub = rub * (layer.friction + wedge);
+                let row = [tip, rub, rub * layer.toughness];
+                // Each run counts alike, whatever its length, and its peak more than its feet.
+                let w = (0.2 + (y / most).max(0.0)) / c.path_mm.len() as f64;
+                for a in 0..3 {
+                    for b in 0..3 {
+                        normal[a][b] += w * row[a] * row[b];
+                    }
+                    right[a] += w * row[a] * y;
+                }
+                yy += w * y * y;
+                n += w;
+            }
+        }
+        for subset in 1..8_u8 {
+            let Some(x) = solve(&normal, &right, subset) else {
+                continue;
+            };
+            // The constants are positive by their meaning.
+            if x.iter().any(|x| *x < 0.0) {
+                continue;
+            }
+            let mut rest = yy;
+            for a in 0..3 {
+                rest -= 2.0 * x[a] * right[a];
+                for b in 0..3 {
+                    rest += x[a] * x[b] * normal[a][b];
+                }
+            }
+            let rms = (rest.max(0.0) / n).sqrt();
+            if rms < best.rms_n {
+                best = LayerFit {
+                    tip: x[0],
+                    pressure_mpa: x[1],
+                    pressure_per_toughness: x[2],
+                    wedge,
+                    dimple_mm: dimple,
+                    rms_n: rms,
+                };
+            }
+        }
+    }
+    best
+}
+
+/// Solves the normal equations for the unknowns in `subset` (bits); the others are zero.
+fn solve(normal: &[[f64; 3]; 3], right: &[f64; 3], subset: u8) -> Option<[f64; 3]> {
+    let mut a = nalgebra::Matrix3::identity();
+    let mut b = nalgebra::Vector3::zeros();
+    let on = |i: usize| subset & (1 << i) != 0;
+    for i in (0..3).filter(|&i| on(i)) {
+        b[i] = right[i];
+        for j in 0..3 {
+            a[(i, j)] = if on(j) { normal[i][j] } else { 0.0 };
+        }
+    }
+    let x = a.lu().solve(&b)?;
+    x.iter().all(|x| x.is_finite()).then(|| [x[0], x[1], x[2]])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -396,23 +429,31 @@ mod tests {
             }),
             ..Calibration::stored().clone()
         };
-        let curves: Vec<ReferenceCurve> = [20.0_f64, 45.0, 70.0]
+        let cases = [
+            (20.0_f64, 0.7, 1.0),
+            (45.0, 0.3, 1.0),
+            (45.0, 0.7, 2.0),
+            (70.0, 0.7, 0.5),
+        ];
+        let curves: Vec<ReferenceCurve> = cases
             .iter()
-            .map(|&angle_deg| {
+            .map(|&(angle_deg, friction, toughness)| {
                 let angle = angle_deg.to_radians();
+                let mut s = setup.with_toughness(toughness);
+                s.friction = friction;
                 let path_mm: Vec<f64> = (0..200)
-                    .map(|i| 0.01 * f64::from(i) / angle.sin() * 2.0)
+                    .map(|i| 0.02 * f64::from(i) / angle.sin())
                     .collect();
                 let layer_n = [0, 1, 2].map(|k| {
                     path_mm
                         .iter()
-                        .map(|&s| truth.force(&setup, angle, s).layer_n[k])
+                        .map(|&x| truth.force(&s, angle, x).layer_n[k])
                         .collect()
                 });
                 ReferenceCurve {
                     angle_deg,
-                    friction: setup.friction,
-                    toughness: 1.0,
+                    friction,
+                    toughness,
                     path_mm,
                     layer_n,
                     peak_n: 1.0,
@@ -425,6 +466,8 @@ mod tests {
         for (f, t) in fit.layers.iter().zip(&truth.layers) {
             assert!((f.tip - t.tip).abs() < 1e-6, "{f:?} {t:?}");
             assert!((f.pressure_mpa - t.pressure_mpa).abs() < 1e-6);
+            assert!((f.pressure_per_toughness - t.pressure_per_toughness).abs() < 1e-6);
+            assert!((f.wedge - t.wedge).abs() < 1e-9);
             assert!((f.dimple_mm - t.dimple_mm).abs() < 1e-9);
         }
     }
@@ -440,8 +483,10 @@ mod tests {
         // Far through, only friction on the layers' whole thickness is left.
         let a = 50.0_f64.to_radians();
         let f = c.force(&s, a, 100.0);
+        let tough = [1.1, 0.2, 0.3];
         for (k, (fit, t)) in c.layers.iter().zip([1.0, 1.0, 0.3]).enumerate() {
-            let expected = 0.7 * fit.pressure_mpa * PI * 0.72 * t / a.sin();
+            let pressure = fit.pressure_mpa + fit.pressure_per_toughness * tough[k];
+            let expected = (0.7 + fit.wedge) * pressure * PI * 0.72 * t / a.sin();
             assert!((f.layer_n[k] - expected).abs() < 1e-9);
         }
     }

@@ -82,6 +82,9 @@ pub struct PunctureReport {
     pub stopped: Vec<StoppedRun>,
     /// The decision.
     pub decision: Decision,
+    /// Refinement, if asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub convergence: Vec<Convergence>,
     /// The paper's figures beside ours, if its layers were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paper: Option<Comparison>,
@@ -91,6 +94,41 @@ pub struct PunctureReport {
     /// Energies of the runs at the curves' points.
     #[serde(skip)]
     pub energies: Vec<Vec<Energy>>,
+}
+
+/// How far a peak moves under refinement.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Convergence {
+    /// Angle, degrees.
+    pub angle_deg: f64,
+    /// Brick of the run, mm.
+    pub mesh_mm: f64,
+    /// Its peak, N.
+    pub peak_force_n: f64,
+    /// With half the step (twice the steps, a quarter of the mass); None if that run stopped.
+    pub peak_half_step_n: Option<f64>,
+    /// With half the brick; None if that run stopped.
+    pub peak_half_mesh_n: Option<f64>,
+}
+
+impl Convergence {
+    /// A line of the table.
+    pub fn say(&self) -> String {
+        let part = |what: &str, peak: Option<f64>| match peak {
+            Some(p) => format!(
+                "{what} {p:.3} N ({:+.1} %)",
+                100.0 * (p / self.peak_force_n.max(1e-12) - 1.0)
+            ),
+            None => format!("{what}: the run stopped"),
+        };
+        format!(
+            "peak {:.3} N at {} mm; {}; {}",
+            self.peak_force_n,
+            self.mesh_mm,
+            part("half the step", self.peak_half_step_n),
+            part("half the brick", self.peak_half_mesh_n)
+        )
+    }
 }
 
 /// A run that stopped.

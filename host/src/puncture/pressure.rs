@@ -74,8 +74,8 @@ impl Lumen {
     /// Adds the forces at a pressure (MPa) to the body's, and half of the step's work.
     pub fn apply(&mut self, body: &mut Body, pressure: f64) {
         for (&n, f) in self.place.iter().zip(&self.force) {
-            for c in 0..3 {
-                body.f[c][n] += pressure * f[c];
+            for (to, x) in body.f.iter_mut().zip(f) {
+                to[n] += pressure * x;
             }
         }
         self.book(body, pressure);
@@ -84,8 +84,8 @@ impl Lumen {
     /// Half of the step's work at the velocity of now: once before and once after the step.
     pub fn book(&mut self, body: &Body, pressure: f64) {
         for (&n, f) in self.place.iter().zip(&self.force) {
-            for c in 0..3 {
-                self.work += 0.5 * pressure * f[c] * body.v[c][n];
+            for (v, x) in body.v.iter().zip(f) {
+                self.work += 0.5 * pressure * x * v[n];
             }
         }
     }
