@@ -25,7 +25,7 @@ pub struct Integration {
     /// Damping: the share of its velocity that a free node loses in a step.
     pub damping: f64,
     /// The same where kinetic energy has reached 4 % of strain energy: tissue that comes unstuck
-    /// snaps back, and what it loses there is booked. In between, from 1 % on, it rises evenly.
+    /// snaps back, and what it loses there is booked. In between, from 1 % on, it rises with the square.
     pub snap_damping: f64,
     /// ε of the hourglass springs.
     pub hourglass: f64,
@@ -36,7 +36,7 @@ impl Default for Integration {
         Self {
             courant: 0.5,
             damping: 5e-4,
-            snap_damping: 0.05,
+            snap_damping: 0.15,
             hourglass: 0.2,
         }
     }
@@ -247,7 +247,7 @@ impl Body {
         let share = self.kinetic / strain.max(1e-9);
         let (calm, snap) = (self.integration.damping, self.integration.snap_damping);
         let k = ((share - 0.01) / 0.03).clamp(0.0, 1.0);
-        self.alpha = calm + k * (snap - calm).max(0.0);
+        self.alpha = calm + k * k * (snap - calm).max(0.0);
     }
 
     /// Looks for crushed bricks, and lets the density follow squeezed ones.

@@ -423,6 +423,8 @@ mod tests {
                 LayerFit {
                     tip: t,
                     pressure_mpa: p,
+                    pressure_per_toughness: 0.5 * p,
+                    wedge: 0.2,
                     dimple_mm: d,
                     rms_n: 0.0,
                 }
