@@ -7,7 +7,7 @@
 
 use crate::engine::TriggerEdge;
 use crate::exposure::Exposures;
-use crate::laser::Windows;
+use crate::laser::{GUARD, Windows};
 use crate::profile::Profile;
 use crate::scan_plan::ScanPlan;
 use cannula_shared::config::{Config, ExposureInput};
@@ -78,7 +78,11 @@ impl Scan {
             (Some(profile), ScanLaser::Timed) => {
                 let lead = Micros(config.laser_lead_us.into());
                 // With the input, the exposure's end closes the window earlier.
-                let tail = if counted { delay.after(length) } else { length };
+                let tail = if counted {
+                    delay.after(length)
+                } else {
+                    length.after(GUARD)
+                };
                 Some(Windows::new(plan.triggers, profile, plan.begin, lead, tail))
             }
             _ => None,

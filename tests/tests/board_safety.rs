@@ -424,3 +424,37 @@ fn everything_boots_safe() {
     );
     assert_eq!(board.trace().falls(Pin::Enable).count(), 0);
 }
+
+#[test]
+fn a_cpu_that_was_held_up_is_an_underrun_not_a_wrong_position() {
+    let (board, pipe) = in_mid_scan(&config(R), ScanMode::Constant, rig(R));
+    let held = pipe.board().now().0;
+    pipe.board().stall_cpu(Micros::from_millis(100));
+    pipe.board().run_for(Micros::from_millis(99));
+    let (last, off) = end(&pipe, held);
+    assert!(
+        last.is_some_and(|last| last - held <= ms(25)),
+        "motion starved"
+    );
+    assert!(
+        off.is_some_and(|off| off - held <= ms(25)),
+        "the lease ran out"
+    );
+    pipe.board().run_for(Micros::from_millis(10));
+    let status = board.status().expect("answers again");
+    assert!(
+        matches!(status.state, State::Fault(Fault::Underrun { .. })),
+        "{:?}",
+        status.state
+    );
+    assert!(!status.position_known && !status.driver);
+    let (later, _) = end(&pipe, held + ms(30));
+    assert_eq!(later, None, "nothing is replayed");
+    // The ledger is closed with what had fired.
+    let pulses = pipe.board().trace().rises(Pin::Trigger).count();
+    let summary = board.take_events().into_iter().find_map(|e| match e {
+        Event::ScanEnd(summary) => Some(summary),
+        _ => None,
+    });
+    assert_eq!(summary.map(|s| s.fired as usize), Some(pulses));
+}

@@ -51,6 +51,7 @@ pub struct SimulatedBoard {
     booted: u64,
     next_poll: u64,
     cpu_alive: bool,
+    stalled_until: u64,
     to_board: Channel,
     to_host: Channel,
     identity: Identity,
@@ -88,6 +89,7 @@ impl SimulatedBoard {
             booted: 0,
             next_poll: 0,
             cpu_alive: true,
+            stalled_until: 0,
             to_board: Channel::new(1),
             to_host: Channel::new(2),
             identity,
@@ -173,6 +175,11 @@ impl SimulatedBoard {
         self.machines.cpu_alive = false;
     }
 
+    /// The CPU is held up for so long (a critical section that got out of hand), then goes on.
+    pub fn stall_cpu(&mut self, time: Micros) {
+        self.stalled_until = self.now + time.to_cycles().0;
+    }
+
     /// The program starts anew (a watchdog, a reset pin); the slide stays where it is.
     pub fn restart(&mut self, reason: ResetReason) {
         self.machines.reset(self.now);
@@ -254,7 +261,9 @@ impl SimulatedBoard {
             self.logic.receive(self.clock(), &bytes);
             self.next_poll = self.now;
         }
-        if self.now >= self.next_poll {
+        if self.now < self.stalled_until {
+            self.next_poll = self.stalled_until;
+        } else if self.now >= self.next_poll {
             self.poll();
         }
     }
