@@ -8,6 +8,7 @@ mod angle;
 mod calibrate;
 mod job;
 mod output;
+mod plot;
 mod process;
 mod puncture;
 mod simulate;
@@ -38,6 +39,8 @@ enum Command {
     Process(process::Args),
     /// Force curves of the puncture per angle, and the decision.
     Puncture(puncture::Args),
+    /// Charts for a paper or a talk, as SVG or PNG.
+    Plot(plot::Args),
     /// Recordings of the simulated rig, with their truth.
     Simulate(simulate::Args),
     /// The board's program as a file for its USB boot loader.
@@ -50,6 +53,7 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Angle(args) => angle::run(args, out),
         Command::Process(args) => process::run(args, out),
         Command::Puncture(args) => puncture::run(args, out),
+        Command::Plot(args) => plot::run(args, out),
         Command::Simulate(args) => simulate::run(args, out),
         Command::Uf2(args) => uf2::run(args, out),
     }

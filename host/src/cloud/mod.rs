@@ -5,8 +5,10 @@
 //! by |∂Z/∂δ|·|(x, y, 1)|: with the centre's standard deviation that is the point's `sigma_mm`. Its error from the calibration is common to all points and is not in there.
 
 mod export;
+mod import;
 
 pub use export::{write_csv, write_ply, write_xyz};
+pub use import::read_ply;
 
 use crate::calibration::RigModel;
 use crate::geometry::{Point3, Vector2, Vector3};

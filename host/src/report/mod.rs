@@ -11,7 +11,7 @@ mod sources;
 mod write;
 
 pub use model::Report;
-pub use sources::settings;
+pub use sources::{calibration as calibration_section, puncture_folder, settings, stripe_sample};
 pub use write::{ReportError, Sources, assemble, write};
 
 /// The whole page.

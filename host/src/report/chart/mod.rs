@@ -4,12 +4,15 @@
 //! dash or mark. Ink and grid have their own colours, which the page swaps in the dark.
 
 mod calibration;
+mod cloud;
+pub mod figure;
 mod puncture;
 mod stripes;
 
 pub use calibration::{coverage, figure_14, offsets, residuals, tilts, view_rms};
+pub use cloud::cloud;
 pub use puncture::{force_by_layer, force_over_angle, forces};
-pub use stripes::quality;
+pub use stripes::{centres, quality};
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -37,6 +40,8 @@ pub enum Kind {
     Dashed,
     /// Dots.
     Dots,
+    /// Single small dots, for many points.
+    Points,
     /// Crosses.
     Crosses,
     /// Bars from zero, of this width in units of x.
@@ -94,6 +99,7 @@ impl Series {
 impl Plot {
     /// The chart as a stand-alone SVG of the given size.
     pub fn svg(&self, width: u32, height: u32) -> String {
+        figure::fonts();
         let mut out = String::new();
         {
             let area = SVGBackend::with_string(&mut out, (width, height)).into_drawing_area();
@@ -180,6 +186,9 @@ impl Plot {
                 Kind::Dots => {
                     chart.draw_series(points().map(|p| Circle::new(p, 3, colour.filled())))?
                 }
+                Kind::Points => {
+                    chart.draw_series(points().map(|p| Circle::new(p, 1, colour.filled())))?
+                }
                 Kind::Crosses => chart.draw_series(points().map(|p| Cross::new(p, 4, style)))?,
                 Kind::Bars(w) => chart.draw_series(points().map(|(x, y)| {
                     Rectangle::new([(x - w / 2.0, 0.0), (x + w / 2.0, y)], colour.filled())
@@ -232,7 +241,7 @@ impl Plot {
 /// The legend's key of a series: every kind as a path, since a legend takes one type of element.
 fn key(kind: &Kind, colour: RGBColor, x: i32, y: i32) -> PathElement<(i32, i32)> {
     let (points, width) = match kind {
-        Kind::Dots => (vec![(x + 6, y), (x + 11, y)], 5),
+        Kind::Dots | Kind::Points => (vec![(x + 6, y), (x + 11, y)], 5),
         Kind::Crosses => (
             vec![
                 (x + 5, y - 4),

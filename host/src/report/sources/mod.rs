@@ -3,10 +3,12 @@
 mod calibration;
 mod measurement;
 mod picture;
+mod puncture;
 
 pub use calibration::calibration;
 pub use measurement::{needle, scene, verdict};
-pub use picture::{picture, stripes};
+pub use picture::{picture, stripe_sample, stripes};
+pub use puncture::puncture_folder;
 
 use super::model::Provenance;
 use crate::pipeline::Times;

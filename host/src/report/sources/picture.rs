@@ -99,15 +99,48 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     drawn
 }
 
+/// The whole stripe of one scan frame, the middle one if not given.
+///
+/// # Errors
+/// An image that can't be read.
+pub fn stripe_sample(
+    session: &Session,
+    frame: Option<usize>,
+) -> Result<Option<StripeSample>, SessionError> {
+    let Some(scan) = &session.manifest.scan else {
+        return Err(session.missing("scan", "record the hand with `cannula scan`"));
+    };
+    let Some(frame) = scan.frames.get(frame.unwrap_or(scan.frames.len() / 2)) else {
+        return Ok(None);
+    };
+    let ambient = scan.ambient.as_ref().map(|name| read(session, name)).transpose()?;
+    let image = read(session, &frame.image)?;
+    let centres = centres(&image, ambient.as_ref());
+    Ok((!centres.is_empty()).then(|| StripeSample {
+        name: frame.image.clone(),
+        slide_mm: frame.slide_mm,
+        centres,
+        ..StripeSample::default()
+    }))
+}
+
+/// Centres on the hand: u, v, σ, quality. A frame without a stripe has none.
+fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
+    hand::extract(image, ambient, &HandSettings::default())
+        .unwrap_or_default()
+        .iter()
+        .filter(|s| s.surface == Surface::Hand)
+        .flat_map(|s| &s.points)
+        .map(|p| [p.pixel.x, p.pixel.y, p.variance.sqrt(), f64::from(p.quality)])
+        .collect()
+}
+
 /// Pieces of the frames nearest to the entry, a quarter and three quarters of the scan.
 pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, SessionError> {
     let Some(scan) = &session.manifest.scan else {
         return Ok(Vec::new());
     };
-    let ambient = match &scan.ambient {
-        Some(name) => Some(read(session, name)?),
-        None => None,
-    };
+    let ambient = scan.ambient.as_ref().map(|name| read(session, name)).transpose()?;
     let nearest = m
         .cloud
         .iter()
@@ -122,22 +155,7 @@ pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, 
     let mut samples = Vec::new();
     for frame in picked.into_iter().filter_map(|i| scan.frames.get(i)) {
         let image = read(session, &frame.image)?;
-        // A frame without a stripe has nothing to show.
-        let segments = hand::extract(&image, ambient.as_ref(), &HandSettings::default());
-        let centres: Vec<[f64; 4]> = segments
-            .unwrap_or_default()
-            .iter()
-            .filter(|s| s.surface == Surface::Hand)
-            .flat_map(|s| &s.points)
-            .map(|p| {
-                [
-                    p.pixel.x,
-                    p.pixel.y,
-                    p.variance.sqrt(),
-                    f64::from(p.quality),
-                ]
-            })
-            .collect();
+        let centres = centres(&image, ambient.as_ref());
         samples.extend(piece(
             frame.slide_mm,
             &frame.image,
