@@ -69,8 +69,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         What::Cloud(job) => {
             let path = job.input.join("cloud.ply");
-            let file = std::fs::File::open(&path)
-                .with_context(|| format!("{}: give a folder that `cannula process` wrote", path.display()))?;
+            let file = std::fs::File::open(&path).with_context(|| {
+                format!(
+                    "{}: give a folder that `cannula process` wrote",
+                    path.display()
+                )
+            })?;
             let points = read_ply(file).with_context(|| path.display().to_string())?;
             (job, vec![chart::cloud(&points, None)])
         }

@@ -22,9 +22,14 @@ pub fn read_ply(input: impl Read) -> io::Result<Vec<[f32; 3]>> {
             ["end_header"] => break,
             ["format", "binary_little_endian", _] => binary = true,
             ["element", "vertex", n] => {
-                count = Some(n.parse::<usize>().map_err(|_| bad("the vertex count is no number"))?);
+                count = Some(
+                    n.parse::<usize>()
+                        .map_err(|_| bad("the vertex count is no number"))?,
+                );
             }
-            ["property", kind @ ("float" | "int"), name] => properties.push((*kind == "float", name.to_string())),
+            ["property", kind @ ("float" | "int"), name] => {
+                properties.push((*kind == "float", name.to_string()))
+            }
             ["ply"] | ["comment", ..] => {}
             _ => return Err(bad("not a cloud that cannula wrote")),
         }
@@ -32,12 +37,19 @@ pub fn read_ply(input: impl Read) -> io::Result<Vec<[f32; 3]>> {
     let starts = ["x", "y", "z"];
     let ours = binary
         && properties.len() >= 3
-        && properties.iter().zip(starts).all(|((float, name), want)| *float && name == want);
-    let count = count.filter(|_| ours).ok_or_else(|| bad("not a cloud that cannula wrote"))?;
+        && properties
+            .iter()
+            .zip(starts)
+            .all(|((float, name), want)| *float && name == want);
+    let count = count
+        .filter(|_| ours)
+        .ok_or_else(|| bad("not a cloud that cannula wrote"))?;
     let mut record = vec![0u8; 4 * properties.len()];
     let mut points = Vec::new();
     for _ in 0..count {
-        input.read_exact(&mut record).map_err(|_| bad("the file is cut off"))?;
+        input
+            .read_exact(&mut record)
+            .map_err(|_| bad("the file is cut off"))?;
         let at = |i: usize| match record.get(4 * i..4 * i + 4) {
             Some(&[a, b, c, d]) => f32::from_le_bytes([a, b, c, d]),
             _ => f32::NAN,

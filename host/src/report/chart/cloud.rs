@@ -7,7 +7,10 @@ pub fn cloud(points: &[[f32; 3]], entry: Option<[f64; 3]>) -> Plot {
     const BANDS: usize = 5;
     let mut z: Vec<f32> = points.iter().map(|p| p[2]).collect();
     z.sort_by(f32::total_cmp);
-    let at = |k: usize| z.get((z.len() * k / BANDS).min(z.len().saturating_sub(1))).copied();
+    let at = |k: usize| {
+        z.get((z.len() * k / BANDS).min(z.len().saturating_sub(1)))
+            .copied()
+    };
     let mut series = Vec::new();
     for k in 0..BANDS {
         let (Some(lo), Some(hi)) = (at(k), at(k + 1)) else {
@@ -19,7 +22,12 @@ pub fn cloud(points: &[[f32; 3]], entry: Option<[f64; 3]>) -> Plot {
             .filter(|p| p[2] >= lo && (p[2] < hi || last))
             .map(|p| (f64::from(p[0]), f64::from(p[1])))
             .collect();
-        series.push(Series::new(&format!("Z {lo:.1} to {hi:.1} mm"), k, Kind::Points, inside));
+        series.push(Series::new(
+            &format!("Z {lo:.1} to {hi:.1} mm"),
+            k,
+            Kind::Points,
+            inside,
+        ));
     }
     if let Some(e) = entry {
         series.push(Series::new("entry", 5, Kind::Crosses, vec![(e[0], e[1])]));

@@ -1,6 +1,6 @@
 //! Charts as files: one or several in a grid, as SVG or PNG.
 
-use super::{INK, Plot};
+use super::Plot;
 use plotters::prelude::*;
 use plotters::style::{FontStyle, register_font};
 use std::sync::Once;
@@ -69,21 +69,30 @@ pub fn png(plots: &[Plot]) -> Option<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.write_header().ok()?.write_image_data(&pixels).ok()?;
+    encoder
+        .write_header()
+        .ok()?
+        .write_image_data(&pixels)
+        .ok()?;
     Some(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::chart::{Kind, Series};
+    use crate::report::chart::{INK, Kind, Series};
 
     fn plot() -> Plot {
         Plot {
             title: "Überschrift σ".into(),
             x_label: "x / mm".into(),
             y_label: "y / µm".into(),
-            series: vec![Series::new("s", 0, Kind::Line, vec![(0.0, 0.0), (1.0, 2.0)])],
+            series: vec![Series::new(
+                "s",
+                0,
+                Kind::Line,
+                vec![(0.0, 0.0), (1.0, 2.0)],
+            )],
             ..Plot::default()
         }
     }

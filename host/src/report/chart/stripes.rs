@@ -7,7 +7,10 @@ use crate::report::model::StripeSample;
 pub fn centres(s: &StripeSample) -> Plot {
     let points: Vec<(f64, f64)> = s.centres.iter().map(|c| (c[0], c[1])).collect();
     let mut plot = Plot {
-        title: format!("{}: centres of the stripe, slide at {:.1} mm", s.name, s.slide_mm),
+        title: format!(
+            "{}: centres of the stripe, slide at {:.1} mm",
+            s.name, s.slide_mm
+        ),
         x_label: "u / px".into(),
         y_label: "v / px".into(),
         series: vec![Series::new("", 1, Kind::Points, points)],

@@ -113,7 +113,11 @@ pub fn stripe_sample(
     let Some(frame) = scan.frames.get(frame.unwrap_or(scan.frames.len() / 2)) else {
         return Ok(None);
     };
-    let ambient = scan.ambient.as_ref().map(|name| read(session, name)).transpose()?;
+    let ambient = scan
+        .ambient
+        .as_ref()
+        .map(|name| read(session, name))
+        .transpose()?;
     let image = read(session, &frame.image)?;
     let centres = centres(&image, ambient.as_ref());
     Ok((!centres.is_empty()).then(|| StripeSample {
@@ -131,7 +135,14 @@ fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
         .iter()
         .filter(|s| s.surface == Surface::Hand)
         .flat_map(|s| &s.points)
-        .map(|p| [p.pixel.x, p.pixel.y, p.variance.sqrt(), f64::from(p.quality)])
+        .map(|p| {
+            [
+                p.pixel.x,
+                p.pixel.y,
+                p.variance.sqrt(),
+                f64::from(p.quality),
+            ]
+        })
         .collect()
 }
 
@@ -140,7 +151,11 @@ pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, 
     let Some(scan) = &session.manifest.scan else {
         return Ok(Vec::new());
     };
-    let ambient = scan.ambient.as_ref().map(|name| read(session, name)).transpose()?;
+    let ambient = scan
+        .ambient
+        .as_ref()
+        .map(|name| read(session, name))
+        .transpose()?;
     let nearest = m
         .cloud
         .iter()

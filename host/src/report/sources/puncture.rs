@@ -11,8 +11,12 @@ use std::path::Path;
 /// A file that is missing or not of its format.
 pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
     let path = folder.join("puncture.json");
-    let text = std::fs::read_to_string(&path)
-        .with_context(|| format!("{}: give a folder that `cannula puncture` wrote", path.display()))?;
+    let text = std::fs::read_to_string(&path).with_context(|| {
+        format!(
+            "{}: give a folder that `cannula puncture` wrote",
+            path.display()
+        )
+    })?;
     let json: Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
     ensure!(
         json["format"] == "cannula-puncture/1",
@@ -41,7 +45,10 @@ pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
     Ok(Puncture {
         runs,
         angle_deg: decision["angle_deg"].as_f64().unwrap_or(f64::NAN),
-        criterion: decision["criterion"].as_str().unwrap_or_default().to_owned(),
+        criterion: decision["criterion"]
+            .as_str()
+            .unwrap_or_default()
+            .to_owned(),
         ..Puncture::default()
     })
 }
@@ -67,7 +74,10 @@ fn curve(path: &Path) -> anyhow::Result<Vec<[f64; 5]>> {
     text.lines()
         .skip(1)
         .map(|line| {
-            let cells: Vec<f64> = line.split(',').filter_map(|c| c.trim().parse().ok()).collect();
+            let cells: Vec<f64> = line
+                .split(',')
+                .filter_map(|c| c.trim().parse().ok())
+                .collect();
             match cells.as_slice() {
                 [t, _, whole, skin, fat, vein] => Ok([*t, *whole, *skin, *fat, *vein]),
                 _ => anyhow::bail!("{}: a row has not six numbers: {line}", path.display()),
@@ -89,7 +99,8 @@ mod tests {
         std::fs::write(folder.path().join("puncture.json"), json).unwrap();
         let error = puncture_folder(folder.path()).unwrap_err();
         assert!(format!("{error:#}").contains("curve_30.csv"));
-        let csv = "time_s,depth_mm,force_n,skin_n,fat_n,vein_n\n0,0,0,0,0,0\n0.1,0.5,1.5,1,0.25,0.25\n";
+        let csv =
+            "time_s,depth_mm,force_n,skin_n,fat_n,vein_n\n0,0,0,0,0,0\n0.1,0.5,1.5,1,0.25,0.25\n";
         std::fs::write(folder.path().join("curve_30.csv"), csv).unwrap();
         let p = puncture_folder(folder.path()).unwrap();
         assert_eq!(p.runs[0].curve, [[0.0; 5], [0.1, 1.5, 1.0, 0.25, 0.25]]);
