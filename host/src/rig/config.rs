@@ -91,6 +91,7 @@ pub struct Board {
 pub struct Camera {
     pub kind: CameraKind,
     pub device: String,
+    pub pixel_format: String,
     pub region: [u32; 4],
     pub trigger: TriggerSource,
     pub trigger_line: String,
@@ -213,6 +214,7 @@ impl Default for Camera {
         Self {
             kind: CameraKind::Simulated,
             device: String::new(),
+            pixel_format: "Mono8".into(),
             region: [0; 4],
             trigger: TriggerSource::Board,
             trigger_line: "Line0".into(),

@@ -8,9 +8,17 @@
 
 pub mod acquisition;
 pub mod camera;
+pub mod capture;
 pub mod config;
 pub mod folder;
+#[cfg(feature = "aravis")]
+pub mod genicam;
+pub mod guide;
 pub mod link;
 pub mod matching;
+pub mod open;
+pub mod recording;
 pub mod simulated;
+#[cfg(feature = "v4l")]
+pub mod uvc;
 pub mod writer;

@@ -178,16 +178,24 @@ impl Stage {
 /// The camera at the end of the cable.
 pub struct SimulatedCamera {
     stage: Stage,
-    /// Edges come from the ledger: the board is behind a port, and no cable leads here.
-    mm_per_step: Option<f64>,
+    cable: Cable,
+}
+
+/// Where edges come from.
+enum Cable {
+    /// A simulated board in this process.
+    Wired(Box<dyn FnMut() -> Vec<Edge> + Send>),
+    /// The ledger: the board is behind a port, and no cable leads here. mm a step.
+    Ledger(f64),
 }
 
 impl SimulatedCamera {
-    /// A camera whose cable is fed by [`Stage::edge`].
-    pub fn new(stage: Stage) -> Self {
+    /// A camera on the trigger pin of a simulated board: `edges` gives the edges since it was last
+    /// asked.
+    pub fn wired(stage: Stage, edges: Box<dyn FnMut() -> Vec<Edge> + Send>) -> Self {
         Self {
             stage,
-            mm_per_step: None,
+            cable: Cable::Wired(edges),
         }
     }
 
@@ -195,7 +203,13 @@ impl SimulatedCamera {
     pub fn by_ledger(stage: Stage, mm_per_step: f64) -> Self {
         Self {
             stage,
-            mm_per_step: Some(mm_per_step),
+            cable: Cable::Ledger(mm_per_step),
+        }
+    }
+
+    fn look(&mut self) {
+        if let Cable::Wired(edges) = &mut self.cable {
+            edges().into_iter().for_each(|edge| self.stage.edge(edge));
         }
     }
 }
@@ -212,6 +226,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn arm(&mut self, exposure: &Exposure) -> Result<(), CameraError> {
+        self.look();
         let mut state = self.stage.state();
         state.pending.clear();
         state.held = 0;
@@ -221,6 +236,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        self.look();
         let pending = {
             let mut state = self.stage.state();
             if state.held > 0 {
@@ -251,7 +267,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn ledger(&mut self, trigger: &Trigger) {
-        if let Some(mm) = self.mm_per_step {
+        if let Cable::Ledger(mm) = self.cable {
             self.stage.edge(Edge {
                 time_us: trigger.time.0,
                 slide_mm: f64::from(trigger.position.0) * mm,

@@ -1,0 +1,58 @@
+//! `cannula ports`: the serial ports, and what each motion board says of itself.
+
+use super::Output;
+use crate::rig::link::{self, Board};
+use serde_json::{Value, json};
+
+/// Arguments of the command.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// Ask at every port for a board, not only where the USB name says so.
+    #[arg(long)]
+    all: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
+    let mut lines = Vec::new();
+    let mut found: Vec<Value> = Vec::new();
+    for port in link::ports()? {
+        let mut line = format!("{}  {}", port.path, port.description);
+        let mut object = json!({
+            "path": port.path, "description": port.description, "board": port.is_board,
+        });
+        if port.is_board || args.all {
+            match Board::connect(&port.path) {
+                Ok(board) => {
+                    let hello = board.hello();
+                    let [major, minor, patch] = hello.identity.firmware;
+                    let firmware = format!("{major}.{minor}.{patch}");
+                    let identity: String =
+                        hello.identity.board.iter().map(|b| format!("{b:02x}")).collect();
+                    line += &format!(
+                        "\n    board {identity}, firmware {firmware}, protocol {}, schema {:016x}, last start: {}",
+                        hello.protocol, hello.schema, hello.reset
+                    );
+                    object["board"] = true.into();
+                    object["identity"] = identity.into();
+                    object["firmware"] = firmware.into();
+                    object["protocol"] = hello.protocol.into();
+                    object["schema"] = format!("{:016x}", hello.schema).into();
+                }
+                Err(e) => {
+                    line += &format!("\n    {e}");
+                    object["error"] = e.to_string().into();
+                }
+            }
+        }
+        lines.push(line);
+        found.push(object);
+    }
+    out.result(&json!({ "ports": found }), || {
+        if lines.is_empty() {
+            "no serial port on this machine".to_owned()
+        } else {
+            lines.join("\n")
+        }
+    })
+}

@@ -1,0 +1,210 @@
+//! Industrial cameras by GenICam, through aravis.
+//!
+//! The packet socket is not used (it needs privileges, and does not see the loopback), and the
+//! socket's buffer is sized by aravis (`Auto`): with both, no frame is lost over the loopback.
+
+use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
+use super::config::{self, TriggerSource};
+use crate::image::Image;
+use aravis::glib::prelude::Cast;
+use aravis::prelude::*;
+use aravis::{AcquisitionMode, Auto, Buffer, BufferStatus, GvStreamOption, GvStreamSocketBuffer, PixelFormat, Stream};
+use std::time::Duration;
+
+/// Buffers that the driver can fill before one is taken.
+const BUFFERS: usize = 32;
+
+/// A GenICam camera.
+pub struct GenicamCamera {
+    camera: aravis::Camera,
+    settings: config::Camera,
+    description: String,
+    size: (u32, u32),
+    stream: Option<Stream>,
+    /// GigE Vision counts frames in 16 bits, 1 to 65535.
+    last_id: u64,
+    sequence: u64,
+}
+
+fn failed(e: aravis::glib::Error) -> CameraError {
+    CameraError::Failed(e.message().to_owned())
+}
+
+fn setting(key: &'static str) -> impl Fn(aravis::glib::Error) -> CameraError {
+    move |e| CameraError::Setting {
+        key,
+        reason: e.message().to_owned(),
+    }
+}
+
+impl GenicamCamera {
+    /// Opens the camera with the given id (name, serial number or address), or the first one found.
+    pub fn open(settings: &config::Camera) -> Result<Self, CameraError> {
+        let name = (!settings.device.is_empty()).then_some(settings.device.as_str());
+        let camera = aravis::Camera::new(name).map_err(|e| {
+            let wanted = if settings.device.is_empty() { "on any interface".into() } else { format!("{:?}", settings.device) };
+            CameraError::NotFound(wanted, e.message().to_owned())
+        })?;
+        let text = |r: Result<aravis::glib::GString, _>| r.map(|s| s.to_string()).unwrap_or_default();
+        let description = format!(
+            "{} {} {}",
+            text(camera.vendor_name()),
+            text(camera.model_name()),
+            text(camera.device_serial_number())
+        );
+        if camera.is_gv_device() {
+            camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
+        }
+        camera
+            .set_pixel_format_from_string(&settings.pixel_format)
+            .map_err(setting("camera.pixel_format"))?;
+        let [left, top, width, height] = settings.region.map(|v| v as i32);
+        if width > 0 && height > 0 {
+            camera
+                .set_region(left, top, width, height)
+                .map_err(setting("camera.region"))?;
+        }
+        let (_, _, width, height) = camera.region().map_err(failed)?;
+        Ok(Self {
+            camera,
+            settings: settings.clone(),
+            description,
+            size: (width.max(0) as u32, height.max(0) as u32),
+            stream: None,
+            last_id: 0,
+            sequence: 0,
+        })
+    }
+
+    fn stop(&mut self) -> Result<(), CameraError> {
+        if self.stream.take().is_some() {
+            self.camera.stop_acquisition().map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
+        let id = buffer.frame_id();
+        // 16-bit counters wrap round to 1; frames that were lost between count too.
+        self.sequence += if id > self.last_id { id - self.last_id } else { (id + 65_535).saturating_sub(self.last_id).max(1) };
+        self.last_id = id;
+        let picture = match buffer.status() {
+            BufferStatus::Success => Some(self.picture(buffer)?),
+            _ => None,
+        };
+        Ok(Frame {
+            sequence: self.sequence,
+            time_us: (buffer.timestamp() / 1000) as i64,
+            picture,
+        })
+    }
+
+    fn picture(&self, buffer: &Buffer) -> Result<Picture, CameraError> {
+        let (width, height) = (buffer.image_width().max(0) as usize, buffer.image_height().max(0) as usize);
+        let data = buffer.image_data();
+        let format = buffer.image_pixel_format();
+        let wrong = || CameraError::Failed(format!("{} bytes for {width} × {height} pixels", data.len()));
+        // Bits of a pixel in its 16-bit word, low-aligned.
+        let bits = match format {
+            PixelFormat::MONO_8 => {
+                let pixels = data.get(..width * height).ok_or_else(wrong)?.to_vec();
+                return Image::from_vec(width, height, pixels).map(Picture::Eight).ok_or_else(wrong);
+            }
+            PixelFormat::MONO_10 => 10,
+            PixelFormat::MONO_12 => 12,
+            PixelFormat::MONO_14 => 14,
+            PixelFormat::MONO_16 => 16,
+            _ => {
+                return Err(CameraError::Setting {
+                    key: "camera.pixel_format",
+                    reason: "only unpacked Mono formats are read".into(),
+                });
+            }
+        };
+        let pixels: Vec<u16> = data
+            .chunks_exact(2)
+            .take(width * height)
+            .map(|b| u16::from_le_bytes([b[0], b[1]]) << (16 - bits))
+            .collect();
+        Image::from_vec(width, height, pixels).map(Picture::Sixteen).ok_or_else(wrong)
+    }
+}
+
+impl Camera for GenicamCamera {
+    fn description(&self) -> String {
+        self.description.clone()
+    }
+
+    fn size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    fn arm(&mut self, exposure: &Exposure) -> Result<(), CameraError> {
+        self.stop()?;
+        let c = &self.camera;
+        if c.is_exposure_auto_available().unwrap_or(false) {
+            c.set_exposure_time_auto(Auto::Off).map_err(setting("camera.exposure_laser_ms"))?;
+        }
+        c.set_exposure_time(exposure.ms * 1000.0)
+            .map_err(setting("camera.exposure_laser_ms"))?;
+        if c.is_gain_available().unwrap_or(false) {
+            if c.is_gain_auto_available().unwrap_or(false) {
+                c.set_gain_auto(Auto::Off).map_err(setting("camera.gain_db"))?;
+            }
+            c.set_gain(exposure.gain_db).map_err(setting("camera.gain_db"))?;
+        }
+        c.set_acquisition_mode(AcquisitionMode::Continuous).map_err(failed)?;
+        match self.settings.trigger {
+            TriggerSource::Board => c
+                .set_trigger(&self.settings.trigger_line)
+                .map_err(setting("camera.trigger_line"))?,
+            TriggerSource::Software => c.set_trigger("Software").map_err(setting("camera.trigger"))?,
+            TriggerSource::Free => c.clear_triggers().map_err(setting("camera.trigger"))?,
+        }
+        let stream = c.create_stream().map_err(failed)?;
+        if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
+            gv.set_socket_buffer(GvStreamSocketBuffer::Auto);
+        }
+        let payload = c.payload().map_err(failed)? as usize;
+        for _ in 0..BUFFERS {
+            stream.push_buffer(Buffer::new_allocate(payload));
+        }
+        c.start_acquisition().map_err(failed)?;
+        self.stream = Some(stream);
+        self.last_id = 0;
+        Ok(())
+    }
+
+    fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        let Some(stream) = &self.stream else {
+            return Err(CameraError::Failed("it is not armed".into()));
+        };
+        let micros = u64::try_from(timeout.as_micros()).unwrap_or(u64::MAX);
+        let buffer = if micros == 0 { stream.try_pop_buffer() } else { stream.timeout_pop_buffer(micros) };
+        let Some(buffer) = buffer else {
+            return Ok(None);
+        };
+        let frame = self.frame(&buffer);
+        if let Some(stream) = &self.stream {
+            stream.push_buffer(buffer);
+        }
+        frame.map(Some)
+    }
+
+    fn fire(&mut self) -> Result<(), CameraError> {
+        if self.settings.trigger == TriggerSource::Software {
+            self.camera.software_trigger().map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Result<(), CameraError> {
+        self.stop()
+    }
+}
+
+impl Drop for GenicamCamera {
+    fn drop(&mut self) {
+        let _ = self.stop();
+    }
+}

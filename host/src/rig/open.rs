@@ -1,0 +1,182 @@
+//! From the configuration to a connected board and an opened camera.
+
+use super::camera::{Camera, CameraError};
+use super::config::{CameraKind, Rig};
+use super::folder::FolderCamera;
+use super::link::{self, Board, LinkError};
+use super::simulated::{Edge, SimulatedCamera, Stage};
+use crate::simulation::mcu::{self, SimulatedBoard, VirtualPipe};
+use crate::simulation::{Renderer, Scene};
+use cannula_shared::message::State;
+use std::path::Path;
+use std::sync::Arc;
+
+/// The port that means the simulated board, on virtual time, in this process.
+pub const SIMULATED: &str = "simulated";
+
+/// Why there is no rig.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The link.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The camera.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    /// No board, or more than one.
+    #[error("{0}")]
+    Port(String),
+    /// The simulated scene.
+    #[error("simulation.seed {0} gives a scene that can't be rendered: take another")]
+    Seed(u64),
+}
+
+/// An opened rig.
+pub struct Opened {
+    /// The board.
+    pub board: Board,
+    /// The camera.
+    pub camera: Box<dyn Camera>,
+    /// Where simulated things are put before a simulated camera.
+    pub stage: Option<Stage>,
+    /// The simulated board, to disturb it.
+    pub virtual_board: Option<VirtualPipe>,
+}
+
+/// Connects the board that the configuration names.
+pub fn board(rig: &Rig) -> Result<Board, OpenError> {
+    if rig.board.port == SIMULATED {
+        return Ok(Board::over(VirtualPipe::new(simulated_board(rig)))?);
+    }
+    Ok(Board::connect(&port(&rig.board.port)?)?)
+}
+
+/// The port to take: as named, or the only board that is plugged in.
+fn port(name: &str) -> Result<String, OpenError> {
+    if name != "auto" {
+        return Ok(name.to_owned());
+    }
+    let mut boards = link::ports()?.into_iter().filter(|p| p.is_board);
+    match (boards.next(), boards.next()) {
+        (Some(one), None) => Ok(one.path),
+        (None, _) => Err(OpenError::Port(
+            "no motion board is plugged in (see `cannula ports`); name its port with --port, or --port simulated to try without one".into(),
+        )),
+        (Some(a), Some(b)) => Err(OpenError::Port(format!(
+            "there is more than one motion board ({}, {}): name one with --port",
+            a.path, b.path
+        ))),
+    }
+}
+
+/// A simulated board whose slide is as long as the configuration says.
+pub fn simulated_board(rig: &Rig) -> SimulatedBoard {
+    let [n, d] = rig.board.steps_per_mm;
+    let steps = |mm: f64| (mm * f64::from(n) / f64::from(d)).round() as i64;
+    let mut board = SimulatedBoard::new(mcu::Rig {
+        slide: steps(0.07 * rig.board.travel_mm),
+        far: steps(rig.board.travel_mm * 1.05 + 5.0),
+        ..mcu::Rig::default()
+    });
+    // Hours of steps are not looked at here.
+    board.trace().keep_steps = false;
+    board
+}
+
+/// The simulated rig: the simulated board on virtual time behind the real link, and a rendered
+/// camera on its trigger pin.
+pub fn simulated(rig: &Rig) -> Result<Opened, OpenError> {
+    let stage = stage(rig)?;
+    let pipe = VirtualPipe::new(simulated_board(rig));
+    let camera = SimulatedCamera::wired(stage.clone(), wire(rig, &pipe));
+    Ok(Opened {
+        board: Board::over(pipe.clone())?,
+        camera: Box::new(camera),
+        stage: Some(stage),
+        virtual_board: Some(pipe),
+    })
+}
+
+fn stage(rig: &Rig) -> Result<Stage, OpenError> {
+    let seed = rig.simulation.seed;
+    let renderer = Renderer::new(Scene::new(rig.profile(), seed)).ok_or(OpenError::Seed(seed))?;
+    Ok(Stage::new(Arc::new(renderer), rig.camera.exposure_laser_ms))
+}
+
+/// The trigger cable: what the simulated board has exposed since the last look.
+pub fn wire(rig: &Rig, pipe: &VirtualPipe) -> Box<dyn FnMut() -> Vec<Edge> + Send> {
+    let pipe = pipe.clone();
+    let mm_per_step = rig.mm(1);
+    let zero_mm = rig.board.clearance_mm;
+    Box::new(move || {
+        let mut board = pipe.board();
+        board
+            .take_exposed()
+            .into_iter()
+            .map(|e| Edge {
+                time_us: e.cycle / cannula_shared::units::CYCLES_PER_MICRO,
+                slide_mm: e.slide as f64 * mm_per_step - zero_mm,
+                laser: e.laser,
+            })
+            .collect()
+    })
+}
+
+/// Opens board and camera as the configuration says.
+pub fn open(rig: &Rig) -> Result<Opened, OpenError> {
+    let simulated_camera = rig.camera.kind == CameraKind::Simulated;
+    if rig.board.port == SIMULATED && simulated_camera {
+        return simulated(rig);
+    }
+    let board = board(rig)?;
+    let (camera, stage): (Box<dyn Camera>, _) = match rig.camera.kind {
+        CameraKind::Simulated => {
+            let stage = stage(rig)?;
+            (Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1))), Some(stage))
+        }
+        CameraKind::Folder => (Box::new(FolderCamera::open(Path::new(&rig.camera.device))?), None),
+        CameraKind::Genicam => (genicam(rig)?, None),
+        CameraKind::V4l => (v4l(rig)?, None),
+    };
+    Ok(Opened {
+        board,
+        camera,
+        stage,
+        virtual_board: None,
+    })
+}
+
+#[cfg(feature = "aravis")]
+fn genicam(rig: &Rig) -> Result<Box<dyn Camera>, CameraError> {
+    Ok(Box::new(super::genicam::GenicamCamera::open(&rig.camera)?))
+}
+
+#[cfg(not(feature = "aravis"))]
+fn genicam(_rig: &Rig) -> Result<Box<dyn Camera>, CameraError> {
+    Err(CameraError::NotBuilt("GenICam", "aravis"))
+}
+
+#[cfg(feature = "v4l")]
+fn v4l(rig: &Rig) -> Result<Box<dyn Camera>, CameraError> {
+    Ok(Box::new(super::uvc::UvcCamera::open(&rig.camera)?))
+}
+
+#[cfg(not(feature = "v4l"))]
+fn v4l(_rig: &Rig) -> Result<Box<dyn Camera>, CameraError> {
+    Err(CameraError::NotBuilt("UVC", "v4l"))
+}
+
+/// Configures the board, re-arms nothing, and homes it if it does not know where it is. Gives what
+/// homing found, if it was needed.
+pub fn ready(board: &Board, rig: &Rig) -> Result<Option<link::Homed>, OpenError> {
+    if let State::Fault(fault) = board.status()?.state {
+        return Err(OpenError::Port(format!(
+            "the motion board is in fault ({fault}); mend the cause, then `cannula motion rearm`"
+        )));
+    }
+    board.configure(&rig.board_config(rig.camera.exposure_laser_ms))?;
+    if board.status()?.position_known {
+        return Ok(None);
+    }
+    Ok(Some(board.home()?))
+}

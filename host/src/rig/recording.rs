@@ -1,0 +1,238 @@
+//! A recording in the making: session.json grows pose by pose, and goes on where it was broken off.
+//!
+//! What session.json names is whole at any time: images are written first, under names that were
+//! not there before, and the file after them. Nothing is overwritten.
+
+use super::camera::Picture;
+use super::writer::{WriteError, Writer, write_whole};
+use crate::board::BoardGeometry;
+use crate::session::{
+    self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError,
+};
+use std::path::{Path, PathBuf};
+
+/// Why a recording can't go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// session.json.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// An image.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The recording there is of another camera or board.
+    #[error("{path}: recorded with {there}, now it is {here}; give another folder", path = path.display())]
+    Different {
+        /// session.json.
+        path: PathBuf,
+        /// What it says.
+        there: String,
+        /// What is set now.
+        here: String,
+    },
+    /// That part stands already.
+    #[error("{path}: a {part} stands there; give another folder, or --force to record it anew", path = path.display())]
+    Stands {
+        /// session.json.
+        path: PathBuf,
+        /// Which part.
+        part: &'static str,
+    },
+    /// The background writer could not be started.
+    #[error("the writer could not be started: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A recording in the making.
+pub struct Recording {
+    folder: PathBuf,
+    /// What session.json says, or will.
+    pub manifest: Manifest,
+}
+
+impl Recording {
+    /// Opens the recording in `folder`, or begins one there.
+    pub fn open(
+        folder: &Path,
+        (width, height): (u32, u32),
+        board: &BoardGeometry,
+    ) -> Result<Self, RecordingError> {
+        let path = folder.join("session.json");
+        let spec = BoardSpec {
+            columns: board.columns,
+            rows: board.rows,
+            square_mm: board.square_mm,
+        };
+        let manifest = match std::fs::read(&path) {
+            Ok(text) => {
+                let manifest = session::parse(&text, &path)?;
+                let there = (manifest.image.width, manifest.image.height);
+                let different = |there: String, here: String| {
+                    Err(RecordingError::Different {
+                        path: path.clone(),
+                        there,
+                        here,
+                    })
+                };
+                if there != (width, height) {
+                    return different(
+                        format!("images of {} × {}", there.0, there.1),
+                        format!("{width} × {height}"),
+                    );
+                }
+                if let Some(b) = manifest.board.filter(|b| *b != spec) {
+                    return different(
+                        format!("a board of {} × {} corners, {} mm", b.columns, b.rows, b.square_mm),
+                        format!("{} × {}, {} mm", spec.columns, spec.rows, spec.square_mm),
+                    );
+                }
+                Manifest {
+                    board: Some(spec),
+                    ..manifest
+                }
+            }
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Manifest {
+                board: Some(spec),
+                ..Manifest::new(width, height)
+            },
+            Err(source) => return Err(SessionError::Io { path, source }.into()),
+        };
+        Ok(Self {
+            folder: folder.to_owned(),
+            manifest,
+        })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Where an image of the recording is.
+    pub fn path(&self, image: &str) -> PathBuf {
+        self.folder.join(image)
+    }
+
+    /// Writes session.json.
+    pub fn save(&self) -> Result<PathBuf, RecordingError> {
+        Ok(session::write(&self.folder, &self.manifest)?)
+    }
+
+    /// A background writer for this machine.
+    pub fn writer() -> Result<Writer, RecordingError> {
+        let threads = std::thread::available_parallelism().map_or(2, usize::from);
+        // 64 pictures of 1280 × 960 are 79 MB.
+        Writer::new(threads, 64).map_err(RecordingError::Thread)
+    }
+
+    /// Writes a picture of the board for the camera's calibration and adds it.
+    pub fn add_camera(&mut self, picture: &Picture) -> Result<String, RecordingError> {
+        let image = fresh(&self.folder, |i| format!("camera/{i:02}.png"), self.manifest.camera.len());
+        self.write(&image, picture)?;
+        self.manifest.camera.push(CameraView { image: image.clone() });
+        self.save()?;
+        Ok(image)
+    }
+
+    /// Writes one picture, now.
+    pub fn write(&self, image: &str, picture: &Picture) -> Result<(), RecordingError> {
+        let path = self.path(image);
+        write_whole(&path, picture).map_err(|reason| WriteError { path, reason }.into())
+    }
+
+    /// A folder (relative) for the next light pose.
+    pub fn light_folder(&self) -> String {
+        fresh(&self.folder, |i| format!("light/{i:02}"), self.manifest.light.len())
+    }
+
+    /// Adds a light pose whose images stand, frames in the order of travel.
+    pub fn add_light(&mut self, off: Option<String>, mut on: Vec<Frame>) -> Result<(), RecordingError> {
+        on.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
+        self.manifest.light.push(LightPose { off, on });
+        self.save()?;
+        Ok(())
+    }
+
+    /// A folder (relative) for a scan.
+    ///
+    /// # Errors
+    /// A scan stands there and `force` is not given.
+    pub fn scan_folder(&self, force: bool) -> Result<String, RecordingError> {
+        if self.manifest.scan.is_some() && !force {
+            return Err(RecordingError::Stands {
+                path: self.folder.join("session.json"),
+                part: "scan",
+            });
+        }
+        let name = |i: usize| if i == 0 { "scan".to_owned() } else { format!("scan_{i}") };
+        Ok(fresh(&self.folder, name, 0))
+    }
+
+    /// Sets the scan, whose images stand. With `--force` one that stood before is no longer named;
+    /// its images stay.
+    pub fn set_scan(&mut self, ambient: Option<String>, mut frames: Vec<Frame>) -> Result<(), RecordingError> {
+        frames.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
+        self.manifest.scan = Some(Scan { ambient, frames });
+        self.save()?;
+        Ok(())
+    }
+}
+
+/// The first name from number `from` on that nothing in the folder has.
+fn fresh(folder: &Path, name: impl Fn(usize) -> String, from: usize) -> String {
+    (from..)
+        .map(name)
+        .find(|name| !folder.join(name).exists())
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::Image;
+
+    const BOARD: BoardGeometry = BoardGeometry { columns: 8, rows: 6, square_mm: 10.0 };
+
+    fn picture(value: u8) -> Picture {
+        Picture::Eight(Image::new(64, 48, value))
+    }
+
+    #[test]
+    fn a_recording_goes_on_and_overwrites_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        assert_eq!(r.add_camera(&picture(1)).unwrap(), "camera/00.png");
+        assert_eq!(r.add_camera(&picture(2)).unwrap(), "camera/01.png");
+        // An image of a pose that was broken off: written, not named.
+        r.write("camera/02.png", &picture(9)).unwrap();
+        r.write("light/00/off.png", &picture(9)).unwrap();
+        drop(r);
+        let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        assert_eq!(r.manifest.camera.len(), 2);
+        assert_eq!(r.add_camera(&picture(3)).unwrap(), "camera/03.png");
+        assert_eq!(r.light_folder(), "light/01");
+        assert_eq!(r.scan_folder(false).unwrap(), "scan");
+        let frame = |mm: f64, image: &str| Frame {
+            slide_mm: mm,
+            slide_steps: None,
+            trigger_us: None,
+            image: image.into(),
+        };
+        r.write("scan/a.png", &picture(4)).unwrap();
+        r.write("scan/b.png", &picture(5)).unwrap();
+        // A position that was shot again comes last and is put in its place.
+        r.set_scan(None, vec![frame(2.0, "scan/b.png"), frame(0.0, "scan/a.png")]).unwrap();
+        let stands = r.scan_folder(false).unwrap_err().to_string();
+        assert!(stands.contains("--force"), "{stands}");
+        assert_eq!(r.scan_folder(true).unwrap(), "scan_1");
+        let s = session::Session::open(dir.path()).unwrap();
+        assert_eq!(s.manifest.scan.unwrap().frames[0].image, "scan/a.png");
+
+        for (size, board) in [((65, 48), BOARD), ((64, 48), BoardGeometry { columns: 9, ..BOARD })] {
+            let Err(e) = Recording::open(dir.path(), size, &board) else {
+                panic!("must be refused");
+            };
+            assert!(e.to_string().contains("give another folder"), "{e}");
+        }
+    }
+}
