@@ -6,15 +6,24 @@
 
 mod angle;
 mod calibrate;
+mod capture;
+mod config;
+mod demo;
 mod job;
+mod live;
+mod motion;
 mod output;
 mod plot;
+mod ports;
 mod process;
 mod puncture;
+mod replay;
+mod rig;
+mod scan;
 mod simulate;
 mod uf2;
 
-pub use output::Output;
+pub use output::{BadArgument, Output};
 
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -41,7 +50,21 @@ enum Command {
     Puncture(puncture::Args),
     /// Charts for a paper or a talk, as SVG or PNG.
     Plot(plot::Args),
-    /// Recordings of the simulated rig, with their truth.
+    /// The whole job on the simulated rig, from homing to the needle, with the errors.
+    Demo(demo::Args),
+    /// Record board poses for the camera, for the light planes, or a scan, step by step.
+    Capture(capture::Args),
+    /// Scan the hand and reconstruct while frames arrive.
+    Scan(scan::Args),
+    /// Play a recording through the acquisition as if it were live.
+    Replay(replay::Args),
+    /// Hands on the motion board: status, home, move, laser, trigger …
+    Motion(motion::Args),
+    /// The serial ports and the motion boards behind them.
+    Ports(ports::Args),
+    /// The rig's configuration: an example, or whether one is sound.
+    Config(config::Args),
+    /// The simulated rig: a recording with its truth, or a board behind a pseudo-terminal.
     Simulate(simulate::Args),
     /// The board's program as a file for its USB boot loader.
     Uf2(uf2::Args),
@@ -54,6 +77,13 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Process(args) => process::run(args, out),
         Command::Puncture(args) => puncture::run(args, out),
         Command::Plot(args) => plot::run(args, out),
+        Command::Demo(args) => demo::run(args, out),
+        Command::Capture(args) => capture::run(args, out),
+        Command::Scan(args) => scan::run(args, out),
+        Command::Replay(args) => replay::run(args, out),
+        Command::Motion(args) => motion::run(args, out),
+        Command::Ports(args) => ports::run(args, out),
+        Command::Config(args) => config::run(args, out),
         Command::Simulate(args) => simulate::run(args, out),
         Command::Uf2(args) => uf2::run(args, out),
     }

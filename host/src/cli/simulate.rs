@@ -1,15 +1,28 @@
-//! `cannula simulate`: recordings of the simulated rig with their truth.
+//! `cannula simulate`: recordings of the simulated rig with their truth, or the simulated board
+//! behind a pseudo-terminal for other programs.
 
-use super::Output;
+use super::rig::{RigArgs, interrupted};
+use super::{BadArgument, Output};
+use crate::rig::open::simulated_board;
 use crate::simulation::{Profile, record};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
 pub struct Args {
+    #[command(flatten)]
+    rig: RigArgs,
     /// Write a whole recording with truth.json into this folder.
-    #[arg(long, value_name = "DIR")]
-    session: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "pty")]
+    session: Option<PathBuf>,
+    /// Show a simulated board as a serial port, until Ctrl-C.
+    #[arg(long, conflicts_with = "session")]
+    pty: bool,
+    /// With --pty: end after so long.
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
     /// What the scene is drawn from: the same seed gives the same recording.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -23,14 +36,21 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
-    let file = args.session.join("session.json");
+    match &args.session {
+        Some(folder) => session(folder, &args, out),
+        None => pty(&args, out),
+    }
+}
+
+fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
+    let file = folder.join("session.json");
     if file.exists() && !args.force {
         anyhow::bail!(
             "{}: a recording stands there; give another folder, or --force to overwrite it",
             file.display()
         );
     }
-    let truth = record(&args.session, args.profile, args.seed, out)?;
+    let truth = record(folder, args.profile, args.seed, out)?;
     let n = truth.plane.normal;
     let object = serde_json::json!({
         "session": file,
@@ -38,7 +58,32 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         "seed": args.seed,
         "plane": { "normal": [n.x, n.y, n.z], "d": truth.plane.d },
     });
-    out.result(&object, || {
-        format!("{}: written, with truth.json beside it", file.display())
-    })
+    out.result(&object, || format!("{}: written, with truth.json beside it", file.display()))
+}
+
+#[cfg(unix)]
+fn pty(args: &Args, out: &Output) -> anyhow::Result<()> {
+    use crate::simulation::mcu::RealTime;
+    let rig = args.rig.load()?;
+    let stop = interrupted()?;
+    let board = RealTime::start(simulated_board(&rig))?;
+    let path = board.path().to_owned();
+    out.result(&serde_json::json!({ "port": path }), || path.clone())?;
+    out.say(&format!("a simulated motion board listens at {path}; Ctrl-C ends it. Try: cannula motion --port {path} status"));
+    let began = Instant::now();
+    let limit = args.seconds.unwrap_or(f64::INFINITY);
+    if !(limit > 0.0) {
+        return Err(BadArgument(format!("--seconds {limit}: give more than 0")).into());
+    }
+    while !stop.load(Ordering::Relaxed) && began.elapsed().as_secs_f64() < limit {
+        std::thread::sleep(Duration::from_millis(20));
+        // What it exposes is the camera's business; here is none.
+        drop(board.board().board().take_exposed());
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn pty(_args: &Args, _out: &Output) -> anyhow::Result<()> {
+    Err(BadArgument("--pty: this system has no pseudo-terminals".into()).into())
 }

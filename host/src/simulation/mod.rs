@@ -4,6 +4,7 @@
 //! [`crate::geometry`]): what the pipeline measures on these images is compared with what the
 //! scene was made of.
 
+pub mod compare;
 mod hand;
 pub mod mcu;
 mod profile;

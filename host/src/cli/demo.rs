@@ -1,0 +1,192 @@
+//! `cannula demo --out DIR`: the whole job on the simulated rig, from homing to the needle: the
+//! simulated board behind the real link, the rendered camera on its trigger pin, the same capture
+//! and the same pipeline as with hardware; then the errors against the truth.
+
+use super::Output;
+use super::job::{NeedleArgs, calibration_text, measure_and_write, measurement_text};
+use super::live::complain;
+use super::rig::{interrupted, say_homed};
+use crate::calibration::LightModel;
+use crate::output::{CalibrationFile, write_json};
+use crate::pipeline::{Method, Times, calibrate};
+use crate::progress::Progress;
+use crate::rig::acquisition::Acquisition;
+use crate::rig::capture::{LightOutcome, PoseOutcome, camera_pose, light_pose, scan};
+use crate::rig::config::Rig;
+use crate::rig::guide::Guide;
+use crate::rig::open::{self, SIMULATED};
+use crate::rig::recording::Recording;
+use crate::session::Session;
+use crate::simulation::compare::{Measured, errors, table};
+use crate::simulation::{Lit, Profile, Recorded, Subject, Truth, write_truth};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Arguments of the command.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// The folder to write into: session/, calibration.json, cloud.ply, result.json, errors.json.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What the scene is drawn from.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// tiny, nominal or hard.
+    #[arg(long, default_value = "nominal")]
+    profile: Profile,
+    /// Overwrite a demo that stands there.
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    needle: NeedleArgs,
+}
+
+/// Runs the command.
+pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
+    let begun = Instant::now();
+    let folder = args.out.join("session");
+    if folder.exists() {
+        anyhow::ensure!(
+            args.force,
+            "{}: a recording stands there; give another folder, or --force to overwrite it",
+            folder.display()
+        );
+        std::fs::remove_dir_all(&folder)?;
+    }
+    let rig = demo_rig(&args);
+    let (truth, renderer) = record(&rig, &folder, out)?;
+    let recorded_s = begun.elapsed().as_secs_f64();
+
+    let session = Session::open(&folder)?;
+    let times = Times::default();
+    let calibrated = calibrate(&session, Method::Ml, &times, out)?;
+    let calibration = CalibrationFile::new(&calibrated, &folder);
+    write_json(&args.out.join("calibration.json"), &calibration)?;
+    let (result, measured) = measure_and_write(
+        &session, &calibration, Method::Ml, &args.needle, &args.out, &times, begun, out,
+    )?;
+    let scene = renderer.scene();
+    let light = calibrated.light.as_ref().map_or(
+        LightModel { normal: nalgebra::Vector3::z(), a: 0.0, b: 0.0 },
+        |l| l.model,
+    );
+    let d = &measured.decision;
+    let cloud: Vec<_> = measured.cloud.iter().map(|p| p.position).collect();
+    let errors = errors(
+        scene,
+        &truth,
+        &Measured {
+            camera: calibrated.camera,
+            light,
+            plane: d.plane,
+            entry: d.entry,
+            vein: d.direction,
+            axis: (d.needle.axis, d.needle.angle),
+            cloud: &cloud,
+        },
+    );
+    let seconds = begun.elapsed().as_secs_f64();
+    let object = serde_json::json!({
+        "seed": args.seed, "profile": args.profile.name(),
+        "seconds": seconds, "seconds_recording": recorded_s,
+        "errors": errors, "result": result,
+    });
+    write_json(&args.out.join("errors.json"), &object)?;
+    out.result(&object, || {
+        format!(
+            "{}\n{}\n{}\nwritten: {} ({seconds:.1} s, {recorded_s:.1} of them recording)",
+            calibration_text(&calibrated),
+            measurement_text(&measured),
+            table(&errors),
+            args.out.display()
+        )
+    })
+}
+
+/// The rig of the demo: the defaults, with the simulated board and camera.
+fn demo_rig(args: &Args) -> Rig {
+    let mut rig = Rig::default();
+    rig.board.port = SIMULATED.into();
+    rig.simulation.seed = args.seed;
+    rig.simulation.profile = args.profile.name().into();
+    let p = args.profile.parameters();
+    rig.light.count = p.light_positions as u32;
+    rig.light.spacing_mm = crate::simulation::TRAVEL_MM / (p.light_positions - 1) as f64;
+    rig
+}
+
+/// Records everything with the simulated rig; gives the truth.
+fn record(
+    rig: &Rig,
+    folder: &Path,
+    out: &Output,
+) -> anyhow::Result<(Truth, std::sync::Arc<crate::simulation::Renderer>)> {
+    let cancel = interrupted()?;
+    let mut opened = open::simulated(rig)?;
+    let stage = opened
+        .stage
+        .take()
+        .ok_or_else(|| anyhow::anyhow!("the simulated rig has no stage"))?;
+    let renderer = stage.renderer().clone();
+    let scene = renderer.scene();
+    let truth = Truth::new(scene)
+        .ok_or_else(|| anyhow::anyhow!("seed {}: its hand is out of sight; take another", scene.seed))?;
+    say_homed(open::ready(&opened.board, rig)?, rig, out);
+
+    let size = opened.camera.size();
+    let geometry = rig.geometry();
+    let mut recording = Recording::open(folder, size, &geometry)?;
+    let mut guide = Guide::new(size.0, size.1);
+    let mut recorded = Recorded::default();
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), rig, cancel);
+
+    out.start("board poses, camera", scene.camera_poses.len());
+    for pose in &scene.camera_poses {
+        stage.show(&Subject::Board(*pose));
+        match camera_pose(&mut acquisition, rig.camera.exposure_board_ms, &mut recording, &mut guide, &geometry)? {
+            PoseOutcome::Taken { image, .. } => recorded.camera.push((image, *pose)),
+            PoseOutcome::NotFound(why) => out.warn(&format!("a pose was left out: {why}")),
+        }
+        out.step();
+    }
+    out.finish();
+    out.detail(&guide.summary());
+
+    out.start("board poses, laser", scene.light_poses.len() * rig.light.count as usize);
+    for pose in &scene.light_poses {
+        stage.show(&Subject::Board(*pose));
+        stage.take_lit();
+        match light_pose(&mut acquisition, rig, &mut recording, &mut || out.step())? {
+            LightOutcome::Taken { folder, sweep } => {
+                complain(&sweep, out);
+                recorded.light.push((format!("{folder}/off.png"), *pose, lit(&stage.take_lit())));
+            }
+            LightOutcome::NotFound(why) => out.warn(&format!("a pose was left out: {why}")),
+        }
+    }
+    out.finish();
+
+    stage.show(&Subject::Hand);
+    stage.take_lit();
+    recording.manifest.entry = Some(truth.entry.clone());
+    out.start("scan", rig.scan.count as usize);
+    let scanned = scan(&mut acquisition, rig, &mut recording, false, &mut |_, _| {
+        out.step();
+        Ok(())
+    })?;
+    out.finish();
+    complain(&scanned.sweep, out);
+    if let Some((_, drift)) = scanned.sweep.clock {
+        out.detail(&format!("camera clock against board clock: {:+.1} ppm", drift * 1e6));
+    }
+    recorded.scan = lit(&stage.take_lit());
+    write_truth(folder, &renderer, &truth, &recorded)?;
+    Ok((truth, renderer))
+}
+
+fn lit(frames: &[(f64, f64)]) -> Vec<Lit> {
+    frames
+        .iter()
+        .map(|&(slide_mm, d)| Lit { slide_mm, d })
+        .collect()
+}

@@ -1,0 +1,115 @@
+//! `cannula scan --out DIR --calibration FILE`: captures the hand and reconstructs while frames
+//! arrive; the result stands within milliseconds of the last frame.
+
+use super::Output;
+use super::job::{NeedleArgs, measurement_text};
+use super::live::{self, Live, complain};
+use super::rig::{RigArgs, interrupted, say_homed};
+use crate::output::read_calibration;
+use crate::progress::Progress;
+use crate::rig::acquisition::Acquisition;
+use crate::rig::capture;
+use crate::rig::open::{self, Opened};
+use crate::rig::recording::Recording;
+use crate::session::Entry;
+use crate::simulation::{Subject, Truth};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Arguments of the command.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    #[command(flatten)]
+    rig: RigArgs,
+    /// The folder to write into: session/, cloud.ply, result.json.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The rig's calibration.
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// Entry pixel, vein pixels and radius from the vein imaging: a JSON file that holds the
+    /// "entry" object of a session.json, or a session.json.
+    #[arg(long, value_name = "FILE")]
+    entry: Option<PathBuf>,
+    /// Record anew, if a scan stands there.
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    needle: NeedleArgs,
+}
+
+/// Runs the command.
+pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
+    let rig = args.rig.load()?;
+    let calibration = read_calibration(&args.calibration)?;
+    let model = calibration.rig().ok_or_else(|| {
+        anyhow::anyhow!("{}: no light planes in this calibration; calibrate with a session that has \"light\"", args.calibration.display())
+    })?;
+    let mut entry = args.entry.as_deref().map(read_entry).transpose()?;
+    let cancel = interrupted()?;
+    let mut opened = open::open(&rig)?;
+    let Opened { board, camera, stage, .. } = &mut opened;
+    if let Some(stage) = &stage {
+        stage.show(&Subject::Hand);
+        entry = entry.or_else(|| Truth::new(stage.renderer().scene()).map(|t| t.entry));
+    }
+    let Some(entry) = entry else {
+        return Err(super::BadArgument("--entry is needed: entry pixel, vein and radius from the vein imaging".into()).into());
+    };
+    let size = camera.size();
+    anyhow::ensure!(
+        (model.camera.width, model.camera.height) == size,
+        "{}: made for images of {} × {}, the camera gives {} × {}; calibrate with this camera and region",
+        args.calibration.display(), model.camera.width, model.camera.height, size.0, size.1
+    );
+    say_homed(open::ready(board, &rig)?, &rig, out);
+    let mut recording = Recording::open(&args.out.join("session"), size, &rig.geometry())?;
+    recording.manifest.entry = Some(entry.clone());
+    let mut live = Live::new(model);
+    let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
+    out.start("scan", rig.scan.count as usize);
+    let scanned = capture::scan(&mut acquisition, &rig, &mut recording, args.force, &mut |shot, picture| {
+        match shot {
+            None => live.ambient(picture),
+            Some(shot) => {
+                live.push(shot, picture)?;
+                out.step();
+            }
+        }
+        Ok(())
+    });
+    out.finish();
+    let scanned = scanned?;
+    complain(&scanned.sweep, out);
+    let (measured, after) = live.decide(&entry, &args.needle)?;
+    let result = live::write(&args.out, &measured, &args.needle)?;
+    let object = json!({
+        "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
+        "faults": scanned.sweep.complaints(),
+        "milliseconds_after_last_frame": after.as_secs_f64() * 1000.0,
+        "result": result,
+    });
+    out.result(&object, || {
+        format!(
+            "{}\n{} of {} frames; the result stood {:.1} ms after the last\nwritten: {}",
+            measurement_text(&measured),
+            scanned.sweep.shots,
+            scanned.sweep.planned,
+            after.as_secs_f64() * 1000.0,
+            args.out.display()
+        )
+    })
+}
+
+/// An entry object, or the one of a session.json.
+fn read_entry(path: &Path) -> anyhow::Result<Entry> {
+    let text = std::fs::read(path).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?;
+    let mut value: serde_json::Value =
+        serde_json::from_slice(&text).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?;
+    if let Some(entry) = value.get_mut("entry") {
+        value = entry.take();
+    }
+    serde_json::from_value(value).map_err(|e| {
+        anyhow::anyhow!("{}: {e}; give pixel, vein and radius_mm as in a session.json", path.display())
+    })
+}
