@@ -49,14 +49,21 @@ impl Drop for Fake {
     }
 }
 
-const SHORT: Exposure = Exposure { ms: 1.0, gain_db: 0.0 };
+const SHORT: Exposure = Exposure {
+    ms: 1.0,
+    gain_db: 0.0,
+};
 
 #[test]
 fn no_software_triggered_frame_is_lost() {
     let _one = PORT.lock().unwrap_or_else(PoisonError::into_inner);
     let _fake = Fake::start(&[]);
     let mut camera = Fake::open(TriggerSource::Software);
-    assert!(camera.description().contains("Aravis"), "{}", camera.description());
+    assert!(
+        camera.description().contains("Aravis"),
+        "{}",
+        camera.description()
+    );
     assert_eq!(camera.size(), (640, 480));
     camera.arm(&SHORT).unwrap();
     let mut last = None;
@@ -90,7 +97,10 @@ fn a_line_that_never_fires_ends_in_a_time_out() {
     let began = Instant::now();
     assert!(camera.wait(Duration::from_millis(300)).unwrap().is_none());
     let waited = began.elapsed();
-    assert!(waited >= Duration::from_millis(290) && waited < Duration::from_secs(2), "{waited:?}");
+    assert!(
+        waited >= Duration::from_millis(290) && waited < Duration::from_secs(2),
+        "{waited:?}"
+    );
     assert!(camera.wait(Duration::ZERO).unwrap().is_none());
 }
 

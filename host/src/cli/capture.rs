@@ -64,7 +64,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         What::Camera(c) | What::Light(c) | What::Scan(c) => c,
     };
     let mut recording = Recording::open(&common.out, size, &geometry)?;
-    let Opened { board, camera, stage, .. } = &mut opened;
+    let Opened {
+        board,
+        camera,
+        stage,
+        ..
+    } = &mut opened;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
     let mut operator = Operator::new(common, out);
     match &args.what {
@@ -89,8 +94,18 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     stage.show(&Subject::Board(poses[operator.taken % poses.len()]));
                 }
                 let ms = rig.camera.exposure_board_ms;
-                match capture::camera_pose(&mut acquisition, ms, &mut recording, &mut guide, &geometry)? {
-                    PoseOutcome::Taken { image, seen, warning } => {
+                match capture::camera_pose(
+                    &mut acquisition,
+                    ms,
+                    &mut recording,
+                    &mut guide,
+                    &geometry,
+                )? {
+                    PoseOutcome::Taken {
+                        image,
+                        seen,
+                        warning,
+                    } => {
                         out.say(&format!("{image}: board found, {seen}"));
                         if let Some(warning) = warning {
                             out.warn(&warning);
@@ -104,7 +119,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 "session": common.out, "poses": recording.manifest.camera.len(),
                 "covered": guide.covered(), "enough": guide.next().is_none(),
             });
-            out.result(&object, || format!("{}: {}", common.out.display(), guide.summary()))
+            out.result(&object, || {
+                format!("{}: {}", common.out.display(), guide.summary())
+            })
         }
         What::Light(c) => {
             if c.force {
@@ -114,7 +131,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             loop {
                 let poses = recording.manifest.light.len();
                 let hint = if poses < 4 {
-                    format!("{poses} poses; 6 or more, at different distances and tilts, the line crossing the board at every position")
+                    format!(
+                        "{poses} poses; 6 or more, at different distances and tilts, the line crossing the board at every position"
+                    )
                 } else {
                     format!("{poses} poses; more at other distances and tilts do no harm")
                 };
@@ -127,11 +146,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     stage.show(&Subject::Board(poses[operator.taken % poses.len()]));
                 }
                 out.start("slide positions", rig.light.count as usize);
-                let outcome = capture::light_pose(&mut acquisition, &rig, &mut recording, &mut || out.step());
+                let outcome =
+                    capture::light_pose(&mut acquisition, &rig, &mut recording, &mut || out.step());
                 out.finish();
                 match outcome? {
                     LightOutcome::Taken { folder, sweep } => {
-                        out.say(&format!("{folder}: {} of {} positions", sweep.shots, sweep.planned));
+                        out.say(&format!(
+                            "{folder}: {} of {} positions",
+                            sweep.shots, sweep.planned
+                        ));
                         complain(&sweep, out);
                     }
                     LightOutcome::NotFound(why) => out.warn(&format!("not taken: {why}")),
@@ -140,7 +163,11 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             }
             let object = json!({ "session": common.out, "poses": recording.manifest.light.len() });
             out.result(&object, || {
-                format!("{}: {} poses of the light planes", common.out.display(), recording.manifest.light.len())
+                format!(
+                    "{}: {} poses of the light planes",
+                    common.out.display(),
+                    recording.manifest.light.len()
+                )
             })
         }
         What::Scan(c) => {
@@ -149,10 +176,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 recording.manifest.entry = Truth::new(stage.renderer().scene()).map(|t| t.entry);
             }
             out.start("scan", rig.scan.count as usize);
-            let scanned = capture::scan(&mut acquisition, &rig, &mut recording, c.force, &mut |_, _| {
-                out.step();
-                Ok(())
-            });
+            let scanned = capture::scan(
+                &mut acquisition,
+                &rig,
+                &mut recording,
+                c.force,
+                &mut |_, _| {
+                    out.step();
+                    Ok(())
+                },
+            );
             out.finish();
             let scanned = scanned?;
             complain(&scanned.sweep, out);
@@ -167,7 +200,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 "faults": scanned.sweep.complaints(),
             });
             out.result(&object, || {
-                format!("{}: {} of {} frames", common.out.display(), scanned.sweep.shots, scanned.sweep.planned)
+                format!(
+                    "{}: {} of {} frames",
+                    common.out.display(),
+                    scanned.sweep.shots,
+                    scanned.sweep.planned
+                )
             })
         }
     }
@@ -223,7 +261,11 @@ impl<'a> Operator<'a> {
             }
             return Ok(self.taken < poses);
         }
-        let end = if enough { "q or end of input to finish" } else { "q to leave off; it goes on later" };
+        let end = if enough {
+            "q or end of input to finish"
+        } else {
+            "q to leave off; it goes on later"
+        };
         self.out.say(&format!("Enter to {what}, {end}"));
         let mut line = String::new();
         let read = std::io::stdin().lock().read_line(&mut line)?;

@@ -63,11 +63,22 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let calibration = CalibrationFile::new(&calibrated, &folder);
     write_json(&args.out.join("calibration.json"), &calibration)?;
     let (result, measured) = measure_and_write(
-        &session, &calibration, Method::Ml, &args.needle, &args.out, &times, begun, out,
+        &session,
+        &calibration,
+        Method::Ml,
+        &args.needle,
+        &args.out,
+        &times,
+        begun,
+        out,
     )?;
     let scene = renderer.scene();
     let light = calibrated.light.as_ref().map_or(
-        LightModel { normal: nalgebra::Vector3::z(), a: 0.0, b: 0.0 },
+        LightModel {
+            normal: nalgebra::Vector3::z(),
+            a: 0.0,
+            b: 0.0,
+        },
         |l| l.model,
     );
     let d = &measured.decision;
@@ -129,8 +140,12 @@ fn record(
         .ok_or_else(|| anyhow::anyhow!("the simulated rig has no stage"))?;
     let renderer = stage.renderer().clone();
     let scene = renderer.scene();
-    let truth = Truth::new(scene)
-        .ok_or_else(|| anyhow::anyhow!("seed {}: its hand is out of sight; take another", scene.seed))?;
+    let truth = Truth::new(scene).ok_or_else(|| {
+        anyhow::anyhow!(
+            "seed {}: its hand is out of sight; take another",
+            scene.seed
+        )
+    })?;
     say_homed(open::ready(&opened.board, rig)?, rig, out);
 
     let size = opened.camera.size();
@@ -143,7 +158,13 @@ fn record(
     out.start("board poses, camera", scene.camera_poses.len());
     for pose in &scene.camera_poses {
         stage.show(&Subject::Board(*pose));
-        match camera_pose(&mut acquisition, rig.camera.exposure_board_ms, &mut recording, &mut guide, &geometry)? {
+        match camera_pose(
+            &mut acquisition,
+            rig.camera.exposure_board_ms,
+            &mut recording,
+            &mut guide,
+            &geometry,
+        )? {
             PoseOutcome::Taken { image, .. } => recorded.camera.push((image, *pose)),
             PoseOutcome::NotFound(why) => out.warn(&format!("a pose was left out: {why}")),
         }
@@ -152,14 +173,19 @@ fn record(
     out.finish();
     out.detail(&guide.summary());
 
-    out.start("board poses, laser", scene.light_poses.len() * rig.light.count as usize);
+    out.start(
+        "board poses, laser",
+        scene.light_poses.len() * rig.light.count as usize,
+    );
     for pose in &scene.light_poses {
         stage.show(&Subject::Board(*pose));
         stage.take_lit();
         match light_pose(&mut acquisition, rig, &mut recording, &mut || out.step())? {
             LightOutcome::Taken { folder, sweep } => {
                 complain(&sweep, out);
-                recorded.light.push((format!("{folder}/off.png"), *pose, lit(&stage.take_lit())));
+                recorded
+                    .light
+                    .push((format!("{folder}/off.png"), *pose, lit(&stage.take_lit())));
             }
             LightOutcome::NotFound(why) => out.warn(&format!("a pose was left out: {why}")),
         }
@@ -177,7 +203,10 @@ fn record(
     out.finish();
     complain(&scanned.sweep, out);
     if let Some((_, drift)) = scanned.sweep.clock {
-        out.detail(&format!("camera clock against board clock: {:+.1} ppm", drift * 1e6));
+        out.detail(&format!(
+            "camera clock against board clock: {:+.1} ppm",
+            drift * 1e6
+        ));
     }
     recorded.scan = lit(&stage.take_lit());
     write_truth(folder, &renderer, &truth, &recorded)?;

@@ -45,8 +45,12 @@ impl Live {
     pub fn ambient(&mut self, picture: &Picture) {
         let rig = self.rig.clone();
         self.depth = match picture {
-            Picture::Eight(i) => Depth::Eight(Reconstruction::new(rig, Method::Ml, Some(i.clone()))),
-            Picture::Sixteen(i) => Depth::Sixteen(Reconstruction::new(rig, Method::Ml, Some(i.clone()))),
+            Picture::Eight(i) => {
+                Depth::Eight(Reconstruction::new(rig, Method::Ml, Some(i.clone())))
+            }
+            Picture::Sixteen(i) => {
+                Depth::Sixteen(Reconstruction::new(rig, Method::Ml, Some(i.clone())))
+            }
         };
     }
 
@@ -63,7 +67,11 @@ impl Live {
         let done = match (&mut self.depth, picture) {
             (Depth::Eight(r), Picture::Eight(i)) => r.push(shot.slide_mm, i, &self.times),
             (Depth::Sixteen(r), Picture::Sixteen(i)) => r.push(shot.slide_mm, i, &self.times),
-            _ => return Err(AcquireError::Sink("the camera has changed its depth in the middle of a scan".into())),
+            _ => {
+                return Err(AcquireError::Sink(
+                    "the camera has changed its depth in the middle of a scan".into(),
+                ));
+            }
         };
         self.frames += 1;
         done.map(drop)
@@ -71,7 +79,11 @@ impl Live {
     }
 
     /// Plane, entry and needle, and how long after the last frame they stood.
-    pub fn decide(self, entry: &Entry, needle: &NeedleArgs) -> anyhow::Result<(Measurement, Duration)> {
+    pub fn decide(
+        self,
+        entry: &Entry,
+        needle: &NeedleArgs,
+    ) -> anyhow::Result<(Measurement, Duration)> {
         match self.depth {
             Depth::Eight(r) => decide(r, self.last, entry, needle),
             Depth::Sixteen(r) => decide(r, self.last, entry, needle),
@@ -103,11 +115,17 @@ fn decide<P: Pixel>(
 }
 
 /// Writes cloud.ply and result.json.
-pub fn write(folder: &Path, measured: &Measurement, needle: &NeedleArgs) -> anyhow::Result<ResultFile> {
+pub fn write(
+    folder: &Path,
+    measured: &Measurement,
+    needle: &NeedleArgs,
+) -> anyhow::Result<ResultFile> {
     let source = needle.settings().1;
     let result = ResultFile::new(measured, "cloud.ply", source, Method::Ml, None);
     let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
-    write_whole(&folder.join("cloud.ply"), |w| crate::cloud::write_ply(w, &measured.cloud, &comment))?;
+    write_whole(&folder.join("cloud.ply"), |w| {
+        crate::cloud::write_ply(w, &measured.cloud, &comment)
+    })?;
     write_json(&folder.join("result.json"), &result)?;
     Ok(result)
 }

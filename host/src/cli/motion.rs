@@ -103,7 +103,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         Command::Home => {
             let homed = board.home()?;
             let um = 1000.0 * rig.mm(i64::from(homed.apart));
-            done(&format!("the switch repeated within {:.1} µm\n", um.abs()), &board.status()?)
+            done(
+                &format!("the switch repeated within {:.1} µm\n", um.abs()),
+                &board.status()?,
+            )
         }
         Command::Move { to, speed } => {
             board.move_to(steps(&rig, to)?, speed_um_s(speed)?)?;
@@ -115,7 +118,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         Command::Laser { seconds, .. } => {
             let limit = seconds.unwrap_or(f64::INFINITY);
-            anyhow::ensure!(limit > 0.0, BadArgument(format!("--seconds {limit}: give more than 0")));
+            anyhow::ensure!(
+                limit > 0.0,
+                BadArgument(format!("--seconds {limit}: give more than 0"))
+            );
             board.laser(true)?;
             out.say("laser on; Ctrl-C turns it off");
             let began = Instant::now();
@@ -128,7 +134,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 status = board.status()?;
             }
             if !status.laser {
-                out.say("the board has turned the laser off (its own limit, the interlock, or a fault)");
+                out.say(
+                    "the board has turned the laser off (its own limit, the interlock, or a fault)",
+                );
             }
             board.laser(false)?;
             done("laser off\n", &board.status()?)
@@ -139,7 +147,11 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 "time_us": trigger.time.0, "position_steps": trigger.position.0, "laser": trigger.laser,
             });
             out.result(&object, || {
-                format!("trigger at {} µs, {:.3} mm", trigger.time.0, rig.mm(trigger.position.0.into()))
+                format!(
+                    "trigger at {} µs, {:.3} mm",
+                    trigger.time.0,
+                    rig.mm(trigger.position.0.into())
+                )
             })
         }
         Command::Config => out.result(&json!({ "configuration": format!("{config:?}") }), || {
@@ -150,7 +162,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         Command::Release => finish(&board, board.release(), &done),
         Command::Reboot { bootloader } => {
             board.reboot(bootloader)?;
-            out.result(&json!({ "rebooted": true }), || "the board starts anew".into())
+            out.result(&json!({ "rebooted": true }), || {
+                "the board starts anew".into()
+            })
         }
     }
 }
@@ -213,7 +227,11 @@ fn status_json(status: &Status, rig: &Rig) -> Value {
 
 fn status_text(status: &Status, rig: &Rig) -> String {
     let position = if status.position_known {
-        format!("{:.4} mm ({} steps)", rig.mm(status.position.0.into()), status.position.0)
+        format!(
+            "{:.4} mm ({} steps)",
+            rig.mm(status.position.0.into()),
+            status.position.0
+        )
     } else {
         "unknown; home first".into()
     };
@@ -234,6 +252,10 @@ fn status_text(status: &Status, rig: &Rig) -> String {
         state_name(&status.state),
         on(status.driver),
         on(status.laser),
-        if active.is_empty() { "none active".into() } else { active.join(", ") }
+        if active.is_empty() {
+            "none active".into()
+        } else {
+            active.join(", ")
+        }
     )
 }

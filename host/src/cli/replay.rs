@@ -42,11 +42,17 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     };
     let calibration = match &args.calibration {
         Some(path) => read_calibration(path)?,
-        None => CalibrationFile::new(&calibrate(&session, Method::Ml, &Times::default(), out)?, &args.session),
+        None => CalibrationFile::new(
+            &calibrate(&session, Method::Ml, &Times::default(), out)?,
+            &args.session,
+        ),
     };
-    let model = calibration
-        .rig()
-        .ok_or_else(|| anyhow::anyhow!("{}: no light planes to measure with", session.file().display()))?;
+    let model = calibration.rig().ok_or_else(|| {
+        anyhow::anyhow!(
+            "{}: no light planes to measure with",
+            session.file().display()
+        )
+    })?;
     let mut live = Live::new(model);
     if let Some(ambient) = &scan.ambient {
         live.ambient(&folder::read(&session.path(ambient))?);
@@ -66,20 +72,27 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         timeout: Duration::from_millis(100),
         laser: true,
     };
-    let played = follow.run(&mut ledger, recorded_anchor(&scan.frames), &mut |trigger, picture| {
-        let slide_mm = scan.frames.get(trigger.index as usize).map_or(0.0, |f| f.slide_mm);
-        let shot = Shot {
-            index: trigger.index,
-            steps: trigger.position.0.into(),
-            slide_mm,
-            trigger_us: trigger.time.0,
-            laser: trigger.laser,
-            picture,
-        };
-        live.push(&shot, &shot.picture)?;
-        out.step();
-        Ok(())
-    });
+    let played = follow.run(
+        &mut ledger,
+        recorded_anchor(&scan.frames),
+        &mut |trigger, picture| {
+            let slide_mm = scan
+                .frames
+                .get(trigger.index as usize)
+                .map_or(0.0, |f| f.slide_mm);
+            let shot = Shot {
+                index: trigger.index,
+                steps: trigger.position.0.into(),
+                slide_mm,
+                trigger_us: trigger.time.0,
+                laser: trigger.laser,
+                picture,
+            };
+            live.push(&shot, &shot.picture)?;
+            out.step();
+            Ok(())
+        },
+    );
     out.finish();
     let (sweep, _) = played?;
     complain(&sweep, out);

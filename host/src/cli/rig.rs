@@ -27,7 +27,11 @@ impl RigArgs {
         if let Some(port) = &self.port {
             rig.board.port.clone_from(port);
         }
-        rig.check(self.config.as_deref().unwrap_or(Path::new("the rig's defaults")))?;
+        rig.check(
+            self.config
+                .as_deref()
+                .unwrap_or(Path::new("the rig's defaults")),
+        )?;
         Ok(rig)
     }
 }

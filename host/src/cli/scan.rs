@@ -43,24 +43,39 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let rig = args.rig.load()?;
     let calibration = read_calibration(&args.calibration)?;
     let model = calibration.rig().ok_or_else(|| {
-        anyhow::anyhow!("{}: no light planes in this calibration; calibrate with a session that has \"light\"", args.calibration.display())
+        anyhow::anyhow!(
+            "{}: no light planes in this calibration; calibrate with a session that has \"light\"",
+            args.calibration.display()
+        )
     })?;
     let mut entry = args.entry.as_deref().map(read_entry).transpose()?;
     let cancel = interrupted()?;
     let mut opened = open::open(&rig)?;
-    let Opened { board, camera, stage, .. } = &mut opened;
+    let Opened {
+        board,
+        camera,
+        stage,
+        ..
+    } = &mut opened;
     if let Some(stage) = &stage {
         stage.show(&Subject::Hand);
         entry = entry.or_else(|| Truth::new(stage.renderer().scene()).map(|t| t.entry));
     }
     let Some(entry) = entry else {
-        return Err(super::BadArgument("--entry is needed: entry pixel, vein and radius from the vein imaging".into()).into());
+        return Err(super::BadArgument(
+            "--entry is needed: entry pixel, vein and radius from the vein imaging".into(),
+        )
+        .into());
     };
     let size = camera.size();
     anyhow::ensure!(
         (model.camera.width, model.camera.height) == size,
         "{}: made for images of {} × {}, the camera gives {} × {}; calibrate with this camera and region",
-        args.calibration.display(), model.camera.width, model.camera.height, size.0, size.1
+        args.calibration.display(),
+        model.camera.width,
+        model.camera.height,
+        size.0,
+        size.1
     );
     say_homed(open::ready(board, &rig)?, &rig, out);
     let mut recording = Recording::open(&args.out.join("session"), size, &rig.geometry())?;
@@ -68,16 +83,22 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut live = Live::new(model);
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
     out.start("scan", rig.scan.count as usize);
-    let scanned = capture::scan(&mut acquisition, &rig, &mut recording, args.force, &mut |shot, picture| {
-        match shot {
-            None => live.ambient(picture),
-            Some(shot) => {
-                live.push(shot, picture)?;
-                out.step();
+    let scanned = capture::scan(
+        &mut acquisition,
+        &rig,
+        &mut recording,
+        args.force,
+        &mut |shot, picture| {
+            match shot {
+                None => live.ambient(picture),
+                Some(shot) => {
+                    live.push(shot, picture)?;
+                    out.step();
+                }
             }
-        }
-        Ok(())
-    });
+            Ok(())
+        },
+    );
     out.finish();
     let scanned = scanned?;
     complain(&scanned.sweep, out);
@@ -110,6 +131,9 @@ fn read_entry(path: &Path) -> anyhow::Result<Entry> {
         value = entry.take();
     }
     serde_json::from_value(value).map_err(|e| {
-        anyhow::anyhow!("{}: {e}; give pixel, vein and radius_mm as in a session.json", path.display())
+        anyhow::anyhow!(
+            "{}: {e}; give pixel, vein and radius_mm as in a session.json",
+            path.display()
+        )
     })
 }

@@ -58,7 +58,9 @@ fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
         "seed": args.seed,
         "plane": { "normal": [n.x, n.y, n.z], "d": truth.plane.d },
     });
-    out.result(&object, || format!("{}: written, with truth.json beside it", file.display()))
+    out.result(&object, || {
+        format!("{}: written, with truth.json beside it", file.display())
+    })
 }
 
 #[cfg(unix)]

@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// How long one wait for a frame lasts while others things may happen.
+/// How long one wait for a frame lasts while other things may happen.
 const SLICE: Duration = Duration::from_millis(20);
 /// How often a position or an anchor is tried before it is given up.
 const TRIES: u32 = 4;
@@ -227,7 +227,6 @@ impl<'a> Acquisition<'a> {
         while fired < 2 * TRIES {
             fired += 1;
             let Some((trigger, frame)) = self.single()? else {
-                last = None;
                 if frames == 0 && fired >= TRIES {
                     break;
                 }

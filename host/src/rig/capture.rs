@@ -97,7 +97,10 @@ fn weakness(detection: &Detection) -> Option<String> {
     if q.saturated > 0.2 {
         Some("the white squares are overexposed: shorten camera.exposure_board_ms".into())
     } else if detection.blur_px > 2.5 {
-        Some(format!("the image is soft (blur {:.1} px): focus the lens", detection.blur_px))
+        Some(format!(
+            "the image is soft (blur {:.1} px): focus the lens",
+            detection.blur_px
+        ))
     } else {
         None
     }

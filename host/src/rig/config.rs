@@ -201,7 +201,7 @@ impl Default for Board {
             acceleration_mm_s2: 200.0,
             homing_fast_mm_s: 10.0,
             homing_slow_mm_s: 1.0,
-            clearance_mm: 1.0,
+            clearance_mm: 4.0,
             run_up_mm: 0.5,
             settle_ms: 100.0,
             exposure_wired: false,

@@ -8,7 +8,10 @@ use super::config::{self, TriggerSource};
 use crate::image::Image;
 use aravis::glib::prelude::Cast;
 use aravis::prelude::*;
-use aravis::{AcquisitionMode, Auto, Buffer, BufferStatus, GvStreamOption, GvStreamSocketBuffer, PixelFormat, Stream};
+use aravis::{
+    AcquisitionMode, Auto, Buffer, BufferStatus, GvStreamOption, GvStreamSocketBuffer, PixelFormat,
+    Stream,
+};
 use std::time::Duration;
 
 /// Buffers that the driver can fill before one is taken.
@@ -42,10 +45,15 @@ impl GenicamCamera {
     pub fn open(settings: &config::Camera) -> Result<Self, CameraError> {
         let name = (!settings.device.is_empty()).then_some(settings.device.as_str());
         let camera = aravis::Camera::new(name).map_err(|e| {
-            let wanted = if settings.device.is_empty() { "on any interface".into() } else { format!("{:?}", settings.device) };
+            let wanted = if settings.device.is_empty() {
+                "on any interface".into()
+            } else {
+                format!("{:?}", settings.device)
+            };
             CameraError::NotFound(wanted, e.message().to_owned())
         })?;
-        let text = |r: Result<aravis::glib::GString, _>| r.map(|s| s.to_string()).unwrap_or_default();
+        let text =
+            |r: Result<aravis::glib::GString, _>| r.map(|s| s.to_string()).unwrap_or_default();
         let description = format!(
             "{} {} {}",
             text(camera.vendor_name()),
@@ -86,7 +94,11 @@ impl GenicamCamera {
     fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
         let id = buffer.frame_id();
         // 16-bit counters wrap round to 1; frames that were lost between count too.
-        self.sequence += if id > self.last_id { id - self.last_id } else { (id + 65_535).saturating_sub(self.last_id).max(1) };
+        self.sequence += if id > self.last_id {
+            id - self.last_id
+        } else {
+            (id + 65_535).saturating_sub(self.last_id).max(1)
+        };
         self.last_id = id;
         let picture = match buffer.status() {
             BufferStatus::Success => Some(self.picture(buffer)?),
@@ -100,15 +112,25 @@ impl GenicamCamera {
     }
 
     fn picture(&self, buffer: &Buffer) -> Result<Picture, CameraError> {
-        let (width, height) = (buffer.image_width().max(0) as usize, buffer.image_height().max(0) as usize);
+        let (width, height) = (
+            buffer.image_width().max(0) as usize,
+            buffer.image_height().max(0) as usize,
+        );
         let data = buffer.image_data();
         let format = buffer.image_pixel_format();
-        let wrong = || CameraError::Failed(format!("{} bytes for {width} × {height} pixels", data.len()));
+        let wrong = || {
+            CameraError::Failed(format!(
+                "{} bytes for {width} × {height} pixels",
+                data.len()
+            ))
+        };
         // Bits of a pixel in its 16-bit word, low-aligned.
         let bits = match format {
             PixelFormat::MONO_8 => {
                 let pixels = data.get(..width * height).ok_or_else(wrong)?.to_vec();
-                return Image::from_vec(width, height, pixels).map(Picture::Eight).ok_or_else(wrong);
+                return Image::from_vec(width, height, pixels)
+                    .map(Picture::Eight)
+                    .ok_or_else(wrong);
             }
             PixelFormat::MONO_10 => 10,
             PixelFormat::MONO_12 => 12,
@@ -126,7 +148,9 @@ impl GenicamCamera {
             .take(width * height)
             .map(|b| u16::from_le_bytes([b[0], b[1]]) << (16 - bits))
             .collect();
-        Image::from_vec(width, height, pixels).map(Picture::Sixteen).ok_or_else(wrong)
+        Image::from_vec(width, height, pixels)
+            .map(Picture::Sixteen)
+            .ok_or_else(wrong)
     }
 }
 
@@ -143,22 +167,28 @@ impl Camera for GenicamCamera {
         self.stop()?;
         let c = &self.camera;
         if c.is_exposure_auto_available().unwrap_or(false) {
-            c.set_exposure_time_auto(Auto::Off).map_err(setting("camera.exposure_laser_ms"))?;
+            c.set_exposure_time_auto(Auto::Off)
+                .map_err(setting("camera.exposure_laser_ms"))?;
         }
         c.set_exposure_time(exposure.ms * 1000.0)
             .map_err(setting("camera.exposure_laser_ms"))?;
         if c.is_gain_available().unwrap_or(false) {
             if c.is_gain_auto_available().unwrap_or(false) {
-                c.set_gain_auto(Auto::Off).map_err(setting("camera.gain_db"))?;
+                c.set_gain_auto(Auto::Off)
+                    .map_err(setting("camera.gain_db"))?;
             }
-            c.set_gain(exposure.gain_db).map_err(setting("camera.gain_db"))?;
+            c.set_gain(exposure.gain_db)
+                .map_err(setting("camera.gain_db"))?;
         }
-        c.set_acquisition_mode(AcquisitionMode::Continuous).map_err(failed)?;
+        c.set_acquisition_mode(AcquisitionMode::Continuous)
+            .map_err(failed)?;
         match self.settings.trigger {
             TriggerSource::Board => c
                 .set_trigger(&self.settings.trigger_line)
                 .map_err(setting("camera.trigger_line"))?,
-            TriggerSource::Software => c.set_trigger("Software").map_err(setting("camera.trigger"))?,
+            TriggerSource::Software => c
+                .set_trigger("Software")
+                .map_err(setting("camera.trigger"))?,
             TriggerSource::Free => c.clear_triggers().map_err(setting("camera.trigger"))?,
         }
         let stream = c.create_stream().map_err(failed)?;
@@ -180,7 +210,11 @@ impl Camera for GenicamCamera {
             return Err(CameraError::Failed("it is not armed".into()));
         };
         let micros = u64::try_from(timeout.as_micros()).unwrap_or(u64::MAX);
-        let buffer = if micros == 0 { stream.try_pop_buffer() } else { stream.timeout_pop_buffer(micros) };
+        let buffer = if micros == 0 {
+            stream.try_pop_buffer()
+        } else {
+            stream.timeout_pop_buffer(micros)
+        };
         let Some(buffer) = buffer else {
             return Ok(None);
         };

@@ -78,7 +78,10 @@ impl Guide {
         self.poses += 1;
         for corner in &detection.corners {
             let cell = |at: f64, size: f64| ((at / size * CELLS as f64) as usize).min(CELLS - 1);
-            let (u, v) = (cell(corner.pixel.x, self.width), cell(corner.pixel.y, self.height));
+            let (u, v) = (
+                cell(corner.pixel.x, self.width),
+                cell(corner.pixel.y, self.height),
+            );
             self.cells[v][u] += 1;
         }
         let seen = self.tilt(detection, board);
@@ -99,8 +102,19 @@ impl Guide {
             tilt: Tilt::None,
         };
         let f = FOCAL_GUESS * self.width;
-        let camera = Matrix3::new(f, 0.0, 0.5 * self.width, 0.0, f, 0.5 * self.height, 0.0, 0.0, 1.0);
-        let (Some(h), Some(inverse)) = (Homography::fit(&flat, &pixels), camera.try_inverse()) else {
+        let camera = Matrix3::new(
+            f,
+            0.0,
+            0.5 * self.width,
+            0.0,
+            f,
+            0.5 * self.height,
+            0.0,
+            0.0,
+            1.0,
+        );
+        let (Some(h), Some(inverse)) = (Homography::fit(&flat, &pixels), camera.try_inverse())
+        else {
             return none;
         };
         // K⁻¹·H = [r1 r2 t] up to scale; the normal is r1 × r2, away from the camera.
@@ -126,15 +140,33 @@ impl Guide {
 
     /// Parts of the image that the board has covered, of nine.
     pub fn covered(&self) -> usize {
-        self.cells.iter().flatten().filter(|&&n| n >= CELL_CORNERS).count()
+        self.cells
+            .iter()
+            .flatten()
+            .filter(|&&n| n >= CELL_CORNERS)
+            .count()
     }
 
     /// What to do next; `None` when it is enough.
     pub fn next(&self) -> Option<String> {
-        let tilt = self.tilts.iter().position(|&n| n == 0).map(|i| DIRECTIONS[i].1);
+        let tilt = self
+            .tilts
+            .iter()
+            .position(|&n| n == 0)
+            .map(|i| DIRECTIONS[i].1);
         let mut place = None;
         // Corners of the image first: that is where distortion shows.
-        for (v, u) in [(0, 0), (2, 2), (0, 2), (2, 0), (1, 1), (0, 1), (2, 1), (1, 0), (1, 2)] {
+        for (v, u) in [
+            (0, 0),
+            (2, 2),
+            (0, 2),
+            (2, 0),
+            (1, 1),
+            (0, 1),
+            (2, 1),
+            (1, 0),
+            (1, 2),
+        ] {
             if place.is_none() && self.cells[v][u] < CELL_CORNERS {
                 place = Some(PLACES[v][u]);
             }
@@ -143,9 +175,10 @@ impl Guide {
             (Some(place), Some(tilt)) => Some(format!("move the board to the {place} and {tilt}")),
             (Some(place), None) => Some(format!("move the board to the {place}")),
             (None, Some(tilt)) => Some(tilt.to_owned()),
-            (None, None) if self.poses < POSES => {
-                Some(format!("{} more poses, each with another tilt", POSES - self.poses))
-            }
+            (None, None) if self.poses < POSES => Some(format!(
+                "{} more poses, each with another tilt",
+                POSES - self.poses
+            )),
             (None, None) => None,
         }
     }
@@ -182,7 +215,11 @@ mod tests {
     use crate::geometry::{Camera, Distortion, Matrix2, Pose, Vector3};
     use nalgebra::Rotation3;
 
-    const BOARD: BoardGeometry = BoardGeometry { columns: 8, rows: 6, square_mm: 10.0 };
+    const BOARD: BoardGeometry = BoardGeometry {
+        columns: 8,
+        rows: 6,
+        square_mm: 10.0,
+    };
 
     fn shown(rotation: Vector3, at: (f64, f64)) -> Detection {
         let camera = Camera {
@@ -228,7 +265,11 @@ mod tests {
             let seen = guide.add(&shown(rotation, (0.0, 0.0)), &BOARD);
             assert_eq!(seen.tilt, tilt, "{rotation}");
             let expected = rotation.xy().norm().to_degrees();
-            assert!((seen.tilt_deg - expected).abs() < 1.0, "{} {expected}", seen.tilt_deg);
+            assert!(
+                (seen.tilt_deg - expected).abs() < 1.0,
+                "{} {expected}",
+                seen.tilt_deg
+            );
         }
         assert_eq!(guide.tilts, [1; 4]);
     }

@@ -132,9 +132,15 @@ pub fn open(rig: &Rig) -> Result<Opened, OpenError> {
     let (camera, stage): (Box<dyn Camera>, _) = match rig.camera.kind {
         CameraKind::Simulated => {
             let stage = stage(rig)?;
-            (Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1))), Some(stage))
+            (
+                Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1))),
+                Some(stage),
+            )
         }
-        CameraKind::Folder => (Box::new(FolderCamera::open(Path::new(&rig.camera.device))?), None),
+        CameraKind::Folder => (
+            Box::new(FolderCamera::open(Path::new(&rig.camera.device))?),
+            None,
+        ),
         CameraKind::Genicam => (genicam(rig)?, None),
         CameraKind::V4l => (v4l(rig)?, None),
     };

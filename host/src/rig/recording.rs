@@ -6,9 +6,7 @@
 use super::camera::Picture;
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
-use crate::session::{
-    self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError,
-};
+use crate::session::{self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError};
 use std::path::{Path, PathBuf};
 
 /// Why a recording can't go on.
@@ -82,7 +80,10 @@ impl Recording {
                 }
                 if let Some(b) = manifest.board.filter(|b| *b != spec) {
                     return different(
-                        format!("a board of {} × {} corners, {} mm", b.columns, b.rows, b.square_mm),
+                        format!(
+                            "a board of {} × {} corners, {} mm",
+                            b.columns, b.rows, b.square_mm
+                        ),
                         format!("{} × {}, {} mm", spec.columns, spec.rows, spec.square_mm),
                     );
                 }
@@ -127,9 +128,15 @@ impl Recording {
 
     /// Writes a picture of the board for the camera's calibration and adds it.
     pub fn add_camera(&mut self, picture: &Picture) -> Result<String, RecordingError> {
-        let image = fresh(&self.folder, |i| format!("camera/{i:02}.png"), self.manifest.camera.len());
+        let image = fresh(
+            &self.folder,
+            |i| format!("camera/{i:02}.png"),
+            self.manifest.camera.len(),
+        );
         self.write(&image, picture)?;
-        self.manifest.camera.push(CameraView { image: image.clone() });
+        self.manifest.camera.push(CameraView {
+            image: image.clone(),
+        });
         self.save()?;
         Ok(image)
     }
@@ -142,11 +149,19 @@ impl Recording {
 
     /// A folder (relative) for the next light pose.
     pub fn light_folder(&self) -> String {
-        fresh(&self.folder, |i| format!("light/{i:02}"), self.manifest.light.len())
+        fresh(
+            &self.folder,
+            |i| format!("light/{i:02}"),
+            self.manifest.light.len(),
+        )
     }
 
     /// Adds a light pose whose images stand, frames in the order of travel.
-    pub fn add_light(&mut self, off: Option<String>, mut on: Vec<Frame>) -> Result<(), RecordingError> {
+    pub fn add_light(
+        &mut self,
+        off: Option<String>,
+        mut on: Vec<Frame>,
+    ) -> Result<(), RecordingError> {
         on.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
         self.manifest.light.push(LightPose { off, on });
         self.save()?;
@@ -164,13 +179,23 @@ impl Recording {
                 part: "scan",
             });
         }
-        let name = |i: usize| if i == 0 { "scan".to_owned() } else { format!("scan_{i}") };
+        let name = |i: usize| {
+            if i == 0 {
+                "scan".to_owned()
+            } else {
+                format!("scan_{i}")
+            }
+        };
         Ok(fresh(&self.folder, name, 0))
     }
 
     /// Sets the scan, whose images stand. With `--force` one that stood before is no longer named;
     /// its images stay.
-    pub fn set_scan(&mut self, ambient: Option<String>, mut frames: Vec<Frame>) -> Result<(), RecordingError> {
+    pub fn set_scan(
+        &mut self,
+        ambient: Option<String>,
+        mut frames: Vec<Frame>,
+    ) -> Result<(), RecordingError> {
         frames.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
         self.manifest.scan = Some(Scan { ambient, frames });
         self.save()?;
@@ -191,7 +216,11 @@ mod tests {
     use super::*;
     use crate::image::Image;
 
-    const BOARD: BoardGeometry = BoardGeometry { columns: 8, rows: 6, square_mm: 10.0 };
+    const BOARD: BoardGeometry = BoardGeometry {
+        columns: 8,
+        rows: 6,
+        square_mm: 10.0,
+    };
 
     fn picture(value: u8) -> Picture {
         Picture::Eight(Image::new(64, 48, value))
@@ -221,14 +250,27 @@ mod tests {
         r.write("scan/a.png", &picture(4)).unwrap();
         r.write("scan/b.png", &picture(5)).unwrap();
         // A position that was shot again comes last and is put in its place.
-        r.set_scan(None, vec![frame(2.0, "scan/b.png"), frame(0.0, "scan/a.png")]).unwrap();
+        r.set_scan(
+            None,
+            vec![frame(2.0, "scan/b.png"), frame(0.0, "scan/a.png")],
+        )
+        .unwrap();
         let stands = r.scan_folder(false).unwrap_err().to_string();
         assert!(stands.contains("--force"), "{stands}");
         assert_eq!(r.scan_folder(true).unwrap(), "scan_1");
         let s = session::Session::open(dir.path()).unwrap();
         assert_eq!(s.manifest.scan.unwrap().frames[0].image, "scan/a.png");
 
-        for (size, board) in [((65, 48), BOARD), ((64, 48), BoardGeometry { columns: 9, ..BOARD })] {
+        for (size, board) in [
+            ((65, 48), BOARD),
+            (
+                (64, 48),
+                BoardGeometry {
+                    columns: 9,
+                    ..BOARD
+                },
+            ),
+        ] {
             let Err(e) = Recording::open(dir.path(), size, &board) else {
                 panic!("must be refused");
             };

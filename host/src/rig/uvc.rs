@@ -36,7 +36,8 @@ impl UvcCamera {
     /// Opens the device of the configuration ("/dev/video0") in grey, or in YUYV, whose first
     /// channel is grey.
     pub fn open(settings: &config::Camera) -> Result<Self, CameraError> {
-        let not_found = |e: std::io::Error| CameraError::NotFound(settings.device.clone(), e.to_string());
+        let not_found =
+            |e: std::io::Error| CameraError::NotFound(settings.device.clone(), e.to_string());
         let device = Device::with_path(&settings.device).map_err(not_found)?;
         let mut format = device.format().map_err(not_found)?;
         let [_, _, width, height] = settings.region;
@@ -61,7 +62,13 @@ impl UvcCamera {
 }
 
 /// Makes grey of a raw frame; `None` if it is too short or of a format that is not read.
-fn grey(fourcc: &[u8; 4], width: usize, height: usize, stride: usize, data: &[u8]) -> Option<Picture> {
+fn grey(
+    fourcc: &[u8; 4],
+    width: usize,
+    height: usize,
+    stride: usize,
+    data: &[u8],
+) -> Option<Picture> {
     let bytes = match fourcc {
         b"GREY" => 1,
         b"YUYV" | b"Y16 " => 2,
@@ -72,7 +79,10 @@ fn grey(fourcc: &[u8; 4], width: usize, height: usize, stride: usize, data: &[u8
     if fourcc == b"Y16 " {
         let mut pixels = Vec::with_capacity(width * height);
         for row in rows {
-            pixels.extend(row?.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])));
+            pixels.extend(
+                row?.chunks_exact(2)
+                    .map(|b| u16::from_le_bytes([b[0], b[1]])),
+            );
         }
         return Image::from_vec(width, height, pixels).map(Picture::Sixteen);
     }
@@ -100,12 +110,18 @@ impl Camera for UvcCamera {
         };
         for (id, value) in [
             (EXPOSURE_AUTO, 1),
-            (EXPOSURE_ABSOLUTE, (exposure.ms * 10.0).round().max(1.0) as i64),
+            (
+                EXPOSURE_ABSOLUTE,
+                (exposure.ms * 10.0).round().max(1.0) as i64,
+            ),
         ] {
             let value = Value::Integer(value);
-            self.device.set_control(Control { id, value }).map_err(refused)?;
+            self.device
+                .set_control(Control { id, value })
+                .map_err(refused)?;
         }
-        let stream = MmapStream::with_buffers(&self.device, Type::VideoCapture, BUFFERS).map_err(failed)?;
+        let stream =
+            MmapStream::with_buffers(&self.device, Type::VideoCapture, BUFFERS).map_err(failed)?;
         self.stream = Some(stream);
         Ok(())
     }
@@ -117,7 +133,9 @@ impl Camera for UvcCamera {
         stream.set_timeout(timeout.max(Duration::from_millis(1)));
         let (data, meta) = match stream.next() {
             Ok(frame) => frame,
-            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => return Ok(None),
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {
+                return Ok(None);
+            }
             Err(e) => return Err(failed(e)),
         };
         let f = &self.format;
@@ -125,7 +143,13 @@ impl Camera for UvcCamera {
         Ok(Some(Frame {
             sequence: meta.sequence.into(),
             time_us: meta.timestamp.sec as i64 * 1_000_000 + meta.timestamp.usec as i64,
-            picture: grey(&f.fourcc.repr, f.width as usize, f.height as usize, f.stride as usize, data),
+            picture: grey(
+                &f.fourcc.repr,
+                f.width as usize,
+                f.height as usize,
+                f.stride as usize,
+                data,
+            ),
         }))
     }
 

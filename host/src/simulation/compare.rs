@@ -38,7 +38,11 @@ pub struct Error {
 
 /// Every error of a measurement.
 pub fn errors(scene: &Scene, truth: &Truth, measured: &Measured) -> Vec<Error> {
-    let line = |quantity, error, unit| Error { quantity, error, unit };
+    let line = |quantity, error, unit| Error {
+        quantity,
+        error,
+        unit,
+    };
     let angle = |a: &Vector3, b: &Vector3| a.cross(b).norm().atan2(a.dot(b)).to_degrees();
     let fx = 100.0 * (measured.camera.fx / scene.camera.fx - 1.0).abs();
     let fy = 100.0 * (measured.camera.fy / scene.camera.fy - 1.0).abs();
@@ -48,14 +52,30 @@ pub fn errors(scene: &Scene, truth: &Truth, measured: &Measured) -> Vec<Error> {
         line("focal length", fx.max(fy), "%"),
         line("light planes, mean over the volume", plane_mm, "mm"),
         line("light planes, worst in the volume", plane_max, "mm"),
-        line("light planes, normal", angle(&measured.light.normal, &scene.laser.model.normal), "deg"),
+        line(
+            "light planes, normal",
+            angle(&measured.light.normal, &scene.laser.model.normal),
+            "deg",
+        ),
         line("cloud to skin, RMS", cloud_rms, "mm"),
         line("cloud to skin, worst", cloud_max, "mm"),
-        line("plane, normal", angle(&measured.plane.normal, &truth.plane.normal), "deg"),
-        line("plane, at the entry", (measured.plane.distance(&truth.point) - truth.plane.distance(&truth.point)).abs(), "mm"),
+        line(
+            "plane, normal",
+            angle(&measured.plane.normal, &truth.plane.normal),
+            "deg",
+        ),
+        line(
+            "plane, at the entry",
+            (measured.plane.distance(&truth.point) - truth.plane.distance(&truth.point)).abs(),
+            "mm",
+        ),
         line("entry point", (measured.entry - truth.point).norm(), "mm"),
         line("vein, direction", angle(&measured.vein, &truth.vein), "deg"),
-        line("needle, axis", angle(&measured.axis.0, &truth.needle(measured.axis.1)), "deg"),
+        line(
+            "needle, axis",
+            angle(&measured.axis.0, &truth.needle(measured.axis.1)),
+            "deg",
+        ),
     ]
 }
 
@@ -63,7 +83,10 @@ pub fn errors(scene: &Scene, truth: &Truth, measured: &Measured) -> Vec<Error> {
 /// hand's room: mean and maximum.
 fn light_planes(scene: &Scene, light: &LightModel) -> (f64, f64) {
     let (mut sum, mut n, mut worst) = (0.0, 0.0, 0.0f64);
-    let (w, h) = (f64::from(scene.camera.width), f64::from(scene.camera.height));
+    let (w, h) = (
+        f64::from(scene.camera.width),
+        f64::from(scene.camera.height),
+    );
     for k in 0..=12 {
         let x = TRAVEL_MM * f64::from(k) / 12.0;
         let (truth, ours) = (scene.laser.plane(x), light.plane(x));
@@ -121,7 +144,9 @@ mod tests {
         let skin: Vec<Point3> = (-10..=10)
             .map(|i| {
                 let (p, q) = (f64::from(i), 0.5 * f64::from(i));
-                scene.hand.camera(&Vector3::new(p, q, scene.hand.height(p, q).h))
+                scene
+                    .hand
+                    .camera(&Vector3::new(p, q, scene.hand.height(p, q).h))
             })
             .collect();
         let mut measured = Measured {

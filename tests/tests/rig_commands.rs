@@ -1,0 +1,189 @@
+//! The commands that drive a rig, run as the program runs them, on the simulated rig.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+fn cannula(args: &[&str]) -> u8 {
+    let words = ["cannula", "--quiet"]
+        .iter()
+        .chain(args)
+        .map(OsString::from);
+    cannula::cli::main(words)
+}
+
+fn json(path: &Path) -> serde_json::Value {
+    let text = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_slice(&text).unwrap()
+}
+
+/// From homing to the needle, and every error within what a picture of a quarter the size allows.
+#[test]
+fn the_demo_finds_the_needle() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("demo");
+    let to = out.to_str().unwrap();
+    assert_eq!(
+        cannula(&["demo", "--profile", "tiny", "--seed", "3", "--out", to]),
+        0
+    );
+    let errors = json(&out.join("errors.json"));
+    let error = |name: &str| {
+        let all = errors["errors"].as_array().unwrap();
+        let line = all.iter().find(|e| e["quantity"] == name);
+        line.unwrap_or_else(|| panic!("{name}"))["error"]
+            .as_f64()
+            .unwrap()
+    };
+    assert!(error("light planes, mean over the volume") < 0.25);
+    assert!(error("entry point") < 0.6);
+    assert!(error("plane, normal") < 0.6);
+    assert!(error("needle, axis") < 0.8);
+    let result = json(&out.join("result.json"));
+    assert_eq!(result["format"], "cannula-result/1");
+    assert!(out.join("cloud.ply").exists() && out.join("calibration.json").exists());
+    let truth = json(&out.join("session/truth.json"));
+    assert_eq!(truth["format"], "cannula-truth/1");
+    assert_eq!(truth["light_poses"].as_array().unwrap().len(), 4);
+    assert_eq!(truth["scan"].as_array().unwrap().len(), 31);
+
+    // It stands there: nothing is overwritten unasked.
+    assert_eq!(cannula(&["demo", "--profile", "tiny", "--out", to]), 1);
+    // The recording is one like any other.
+    let again = dir.path().join("again");
+    let session = out.join("session");
+    assert_eq!(
+        cannula(&[
+            "replay",
+            session.to_str().unwrap(),
+            "--out",
+            again.to_str().unwrap()
+        ]),
+        0
+    );
+    let axis = |v: &serde_json::Value| -> Vec<f64> {
+        v["needle"]["axis"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|x| x.as_f64().unwrap())
+            .collect()
+    };
+    let replayed = json(&again.join("result.json"));
+    let apart: f64 = axis(&result)
+        .iter()
+        .zip(axis(&replayed))
+        .map(|(a, b)| (a - b).abs())
+        .sum();
+    assert!(apart < 1e-9, "live and from files: {apart}");
+}
+
+/// Recorded in parts, broken off and gone on with, calibrated, scanned live.
+#[test]
+fn a_recording_in_parts_leads_to_the_needle() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let config = path("rig.toml");
+    let text = "[board]\nport = \"simulated\"\nsettle_ms = 20.0\n\
+                [light]\nspacing_mm = 10.0\ncount = 7\n\
+                [simulation]\nseed = 6\nprofile = \"tiny\"\n";
+    std::fs::write(&config, text).unwrap();
+    assert_eq!(cannula(&["config", &config]), 0);
+    let rig = path("session");
+    let capture = |what: &str, more: &[&str]| {
+        let mut args = vec!["capture", "--config", &config, what, "--out", &rig];
+        args.extend(more);
+        cannula(&args)
+    };
+    assert_eq!(capture("camera", &["--poses", "12"]), 0);
+    assert_eq!(capture("light", &["--poses", "2"]), 0);
+    // Later, in another run of the program: the poses go on being added.
+    assert_eq!(capture("light", &["--poses", "4"]), 0);
+    assert_eq!(capture("scan", &[]), 0);
+    assert_eq!(capture("scan", &[]), 1, "a scan stands there");
+    assert_eq!(capture("scan", &["--force"]), 0);
+    let manifest = json(&dir.path().join("session/session.json"));
+    assert_eq!(manifest["camera"].as_array().unwrap().len(), 12);
+    assert_eq!(manifest["light"].as_array().unwrap().len(), 6);
+    assert_eq!(manifest["scan"]["frames"].as_array().unwrap().len(), 31);
+    assert_eq!(manifest["scan"]["ambient"], "scan_1/ambient.png");
+
+    let calibration = path("calibration.json");
+    assert_eq!(cannula(&["calibrate", &rig, "--out", &calibration]), 0);
+    let live = path("live");
+    assert_eq!(
+        cannula(&[
+            "scan",
+            "--config",
+            &config,
+            "--out",
+            &live,
+            "--calibration",
+            &calibration
+        ]),
+        0
+    );
+    let scene = cannula::simulation::Scene::new(cannula::simulation::Profile::Tiny, 6);
+    let truth = cannula::simulation::Truth::new(&scene).unwrap();
+    let result = json(&dir.path().join("live/result.json"));
+    let entry: Vec<f64> = result["entry"]["point_mm"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|x| x.as_f64().unwrap())
+        .collect();
+    let off = truth
+        .point
+        .coords
+        .iter()
+        .zip(&entry)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f64>()
+        .sqrt();
+    assert!(off < 0.6, "{off} mm");
+}
+
+#[test]
+fn hands_on_commands_and_their_exit_statuses() {
+    assert_eq!(cannula(&["motion", "--port", "simulated", "status"]), 0);
+    assert_eq!(cannula(&["motion", "--port", "simulated", "home"]), 0);
+    // Not homed: refused by the board.
+    assert_eq!(cannula(&["motion", "--port", "simulated", "move", "10"]), 1);
+    // The laser only when it is said.
+    assert_eq!(cannula(&["motion", "--port", "simulated", "laser"]), 2);
+    assert_eq!(cannula(&["motion", "--port", "/nowhere/tty", "status"]), 1);
+    assert_eq!(cannula(&["motion", "--port", "simulated", "fly"]), 2);
+    assert_eq!(cannula(&["config", "--example"]), 0);
+    assert_eq!(cannula(&["config", "/nowhere/rig.toml"]), 1);
+    assert_eq!(cannula(&["ports"]), 0);
+    assert_eq!(cannula(&["simulate"]), 2);
+}
+
+/// The board behind a pseudo-terminal, and hands-on commands over it: a laser that is on only
+/// while its command runs, positions that outlive each command.
+#[cfg(unix)]
+#[test]
+fn commands_over_a_pseudo_terminal() {
+    use cannula::rig::{config::Rig, open};
+    use cannula::simulation::mcu::{Pin, RealTime};
+    let rig = Rig::default();
+    let real = RealTime::start(open::simulated_board(&rig)).unwrap();
+    let port = real.path().to_owned();
+    let motion = |words: &[&str]| {
+        let mut args = vec!["motion", "--port", &port];
+        args.extend(words);
+        cannula(&args)
+    };
+    assert_eq!(motion(&["status"]), 0);
+    assert_eq!(motion(&["home"]), 0);
+    assert_eq!(motion(&["move", "12.5"]), 0);
+    assert_eq!(motion(&["jog", "-2.5"]), 0);
+    assert_eq!(motion(&["move", "999"]), 1);
+    // Where the slide truly is: 10 mm from zero, which lies at the clearance.
+    let slide = real.board().board().rig().slide;
+    assert_eq!(slide, 800 * 10 + 800 * 4);
+    assert_eq!(motion(&["trigger"]), 0);
+    assert_eq!(motion(&["laser", "--laser", "--seconds", "0.3"]), 0);
+    let mut board = real.board().board();
+    assert!(!board.level(Pin::Laser));
+    assert!(board.trace().rises(Pin::Laser).count() >= 1);
+}

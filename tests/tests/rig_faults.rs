@@ -1,0 +1,441 @@
+//! Acquisition on the simulated rig with everything going wrong that can: no picture ever goes to
+//! another's position, and what is missing is named.
+
+use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot, Sweep};
+use cannula::rig::camera::Picture;
+use cannula::rig::capture::{self, CaptureError};
+use cannula::rig::config::{Mode, Rig};
+use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
+use cannula::rig::link::{Board, LinkError};
+use cannula::rig::matching::Fault;
+use cannula::rig::open::{self, Opened};
+use cannula::rig::recording::Recording;
+use cannula::rig::simulated::{Fate, SimulatedCamera, Stage};
+use cannula::simulation::mcu::{Pin, RealTime};
+use cannula::simulation::{Renderer, Scene, Subject, scan_stripe};
+use cannula_shared::hello::ResetReason;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+fn rig(mode: Mode) -> Rig {
+    let mut rig = Rig::default();
+    rig.board.port = open::SIMULATED.into();
+    rig.board.settle_ms = 20.0;
+    rig.simulation.seed = 11;
+    rig.simulation.profile = "tiny".into();
+    rig.scan.start_mm = 16.0;
+    rig.scan.count = 12;
+    rig.scan.mode = mode;
+    rig
+}
+
+/// A homed rig with the hand before its camera.
+fn opened(rig: &Rig) -> (Opened, Stage) {
+    let opened = open::open(rig).unwrap();
+    open::ready(&opened.board, rig).unwrap();
+    let stage = opened.stage.clone().unwrap();
+    stage.show(&Subject::Hand);
+    (opened, stage)
+}
+
+/// How far the brightest row of each column lies from where the laser's line belongs with the
+/// slide at that position: the median, px. The line moves by about 3 px from one to the next.
+fn off_by_px(renderer: &Renderer, shot: &Shot) -> f64 {
+    let Picture::Eight(image) = &shot.picture else {
+        panic!("8 bits expected");
+    };
+    let line = scan_stripe(renderer, &renderer.scene().laser.plane(shot.slide_mm));
+    let mut off: Vec<f64> = line
+        .iter()
+        .enumerate()
+        .filter_map(|(u, v)| {
+            let brightest = (0..image.height()).max_by_key(|&y| image.at(u, y))?;
+            Some((brightest as f64 - (*v)?).abs())
+        })
+        .collect();
+    assert!(
+        off.len() > 40,
+        "the hand shows in {} columns at {} mm",
+        off.len(),
+        shot.slide_mm
+    );
+    off.sort_by(f64::total_cmp);
+    off[off.len() / 2]
+}
+
+/// A sweep whose every shot is checked to show its own position.
+fn sweep(rig: &Rig, opened: &mut Opened, stage: &Stage) -> Result<(Sweep, Vec<u32>), AcquireError> {
+    let cancel = AtomicBool::new(false);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), rig, &cancel);
+    acquisition.expose(rig.camera.exposure_laser_ms)?;
+    let mut seen = Vec::new();
+    let sweep = acquisition.sweep(&rig.scan_request(), &mut |shot| {
+        let expected = rig.scan.start_mm + rig.scan.spacing_mm * f64::from(shot.index);
+        assert!(
+            (shot.slide_mm - expected).abs() < 1e-3,
+            "{} {expected}",
+            shot.slide_mm
+        );
+        let off = off_by_px(stage.renderer(), &shot);
+        assert!(
+            off < 1.2,
+            "trigger {} shows a line {off} px off",
+            shot.index
+        );
+        seen.push(shot.index);
+        Ok(())
+    })?;
+    Ok((sweep, seen))
+}
+
+/// Two single triggers tie the clocks together before each sweep.
+const ANCHORS: u64 = 2;
+
+#[test]
+fn all_well_in_every_mode() {
+    for mode in [Mode::Stop, Mode::Constant, Mode::Ramped] {
+        let rig = rig(mode);
+        let (mut opened, stage) = opened(&rig);
+        let (sweep, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+        assert_eq!(seen, (0..12).collect::<Vec<u32>>(), "{mode:?}");
+        assert_eq!(sweep.complaints(), [""; 0], "{mode:?}");
+        // The simulated camera's quartz runs 23 ppm fast.
+        let (_, drift) = sweep.clock.unwrap();
+        assert!((drift * 1e6 - 23.0).abs() < 60.0, "{drift}");
+        let status = opened.board.status().unwrap();
+        assert!(!status.laser && !status.moving);
+    }
+}
+
+#[test]
+fn the_first_frame_lost_after_idle_costs_nothing() {
+    let rig = rig(Mode::Constant);
+    let (mut opened, stage) = opened(&rig);
+    stage.inject(Box::new(
+        |n| if n == 0 { Fate::Ignored } else { Fate::Fine },
+    ));
+    let (sweep, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen.len(), 12);
+    assert!(sweep.faults.is_empty());
+}
+
+#[test]
+fn every_second_trigger_lost_is_named_on_the_fly_and_shot_again_at_rest() {
+    for mode in [Mode::Constant, Mode::Stop] {
+        let rig = rig(mode);
+        let (mut opened, stage) = opened(&rig);
+        stage.inject(Box::new(|n| {
+            if n % 2 == 1 {
+                Fate::Ignored
+            } else {
+                Fate::Fine
+            }
+        }));
+        let (sweep, mut seen) = sweep(&rig, &mut opened, &stage).unwrap();
+        let lost: Vec<u32> = sweep
+            .faults
+            .iter()
+            .map(|f| match f {
+                Fault::Lost { trigger } => *trigger,
+                other => panic!("{other}"),
+            })
+            .collect();
+        assert_eq!(lost.len(), 6, "{mode:?}: {lost:?}");
+        if mode == Mode::Constant {
+            assert_eq!(sweep.missing, lost);
+            assert!(seen.iter().all(|k| !lost.contains(k)) && seen.len() == 6);
+        } else {
+            assert_eq!(sweep.reshot, lost);
+            assert!(sweep.missing.is_empty());
+            seen.sort_unstable();
+            assert_eq!(seen, (0..12).collect::<Vec<u32>>());
+        }
+    }
+}
+
+#[test]
+fn lost_broken_double_and_late_frames_are_each_named() {
+    let rig = rig(Mode::Constant);
+    let (mut opened, stage) = opened(&rig);
+    stage.inject(Box::new(|n| match n.wrapping_sub(ANCHORS) {
+        2 => Fate::Lost,
+        4 => Fate::Broken,
+        6 => Fate::Double,
+        8 => Fate::Late(9_000),
+        _ => Fate::Fine,
+    }));
+    let (sweep, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen, [0, 1, 3, 5, 6, 7, 9, 10, 11]);
+    assert_eq!(sweep.missing, [2, 4, 8]);
+    assert_eq!(sweep.faults.len(), 4, "{:?}", sweep.faults);
+    let named = |f: &dyn Fn(&Fault) -> bool| sweep.faults.iter().any(f);
+    assert!(named(&|f| matches!(f, Fault::Lost { trigger: 2 })));
+    assert!(named(&|f| matches!(f, Fault::Broken { trigger: 4, .. })));
+    assert!(named(&|f| matches!(f, Fault::Double { trigger: 6, .. })));
+    assert!(named(
+        &|f| matches!(f, Fault::Late { trigger: 8, by_ms, .. } if (*by_ms - 9.0).abs() < 1.0)
+    ));
+}
+
+#[test]
+fn a_camera_that_stalls_for_two_seconds_loses_nothing_if_one_may_wait() {
+    let mut rig = rig(Mode::Constant);
+    rig.camera.timeout_ms = 3000.0;
+    let (mut opened, stage) = opened(&rig);
+    // Two seconds of waits of 20 ms.
+    stage.inject(Box::new(|n| {
+        if n == ANCHORS + 5 {
+            Fate::Held(100)
+        } else {
+            Fate::Fine
+        }
+    }));
+    let (whole, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen.len(), 12);
+    assert!(whole.faults.is_empty());
+
+    // If not, what is late is named, and does not leak into the next sweep.
+    rig.camera.timeout_ms = 500.0;
+    stage.inject(Box::new(|n| {
+        if n == ANCHORS + 5 {
+            Fate::Held(100)
+        } else {
+            Fate::Fine
+        }
+    }));
+    let (cut, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen, [0, 1, 2, 3, 4]);
+    assert_eq!(cut.missing, [5, 6, 7, 8, 9, 10, 11]);
+    stage.inject(Box::new(|_| Fate::Fine));
+    let (again, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen.len(), 12, "{:?}", again.complaints());
+}
+
+#[test]
+fn no_frame_at_all_ends_with_advice() {
+    let rig = rig(Mode::Constant);
+    let (mut opened, stage) = opened(&rig);
+    stage.inject(Box::new(|_| Fate::Ignored));
+    let said = sweep(&rig, &mut opened, &stage).unwrap_err().to_string();
+    assert!(
+        said.contains("no frame") && said.contains("trigger cable"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_reset_in_mid_scan_ends_it_with_the_laser_off() {
+    let rig = rig(Mode::Constant);
+    let (mut opened, _stage) = opened(&rig);
+    let pipe = opened.virtual_board.clone().unwrap();
+    let cancel = AtomicBool::new(false);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    acquisition.expose(5.0).unwrap();
+    let outcome = acquisition.sweep(&rig.scan_request(), &mut |shot| {
+        if shot.index == 4 {
+            pipe.board().restart(ResetReason::Watchdog);
+        }
+        Ok(())
+    });
+    let Err(AcquireError::Link(LinkError::Restarted(ResetReason::Watchdog))) = outcome else {
+        panic!("{outcome:?}");
+    };
+    assert!(!pipe.board().level(Pin::Laser));
+}
+
+/// Ctrl-C, or a disk that fails, in the middle of a recorded scan.
+fn broken_off(disk: bool) {
+    let rig = rig(Mode::Constant);
+    let (mut opened, stage) = opened(&rig);
+    let pipe = opened.virtual_board.clone().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let cancel = AtomicBool::new(false);
+    let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    let outcome = capture::scan(
+        &mut acquisition,
+        &rig,
+        &mut recording,
+        false,
+        &mut |shot, _| {
+            if shot.is_some_and(|s| s.index == 3) {
+                if disk {
+                    // From here on nothing can be written below "scan".
+                    std::fs::rename(dir.path().join("scan"), dir.path().join("moved")).unwrap();
+                    std::fs::write(dir.path().join("scan"), "").unwrap();
+                } else {
+                    cancel.store(true, Ordering::Relaxed);
+                }
+            }
+            if disk {
+                // Time for the background writer to meet the failure.
+                std::thread::sleep(Duration::from_millis(30));
+            }
+            Ok(())
+        },
+    );
+    let error = outcome.unwrap_err();
+    match (&error, disk) {
+        (CaptureError::Acquire(AcquireError::Interrupted), false) => {}
+        (CaptureError::Acquire(AcquireError::Write(e)), true) => {
+            assert!(e.to_string().contains("scan/0"), "{e}");
+        }
+        _ => panic!("{error}"),
+    }
+    // Laser off at once, slide at rest after its ramp, and the board still answers.
+    assert!(!pipe.board().level(Pin::Laser));
+    for _ in 0..500 {
+        opened.board.keep_alive().unwrap();
+    }
+    let status = opened.board.status().unwrap();
+    assert!(
+        !status.moving && !status.laser && status.position_known,
+        "{status:?}"
+    );
+    // What was written is whole, and no session.json names a part of a scan.
+    let folder = dir.path().join(if disk { "moved" } else { "scan" });
+    let mut files = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        cannula::session::decode(&path).unwrap_or_else(|e| panic!("{e}"));
+        files += 1;
+    }
+    assert!(files >= 2, "{files}");
+    assert!(!dir.path().join("session.json").exists());
+    // The next attempt overwrites nothing and is complete.
+    cancel.store(false, Ordering::Relaxed);
+    stage.show(&Subject::Hand);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    capture::scan(
+        &mut acquisition,
+        &rig,
+        &mut recording,
+        false,
+        &mut |_, _| Ok(()),
+    )
+    .unwrap();
+    let session = cannula::session::Session::open(dir.path()).unwrap();
+    let scan = session.manifest.scan.unwrap();
+    assert_eq!(scan.frames.len(), 12);
+    assert!(
+        scan.frames[0].image.starts_with("scan_1/"),
+        "{}",
+        scan.frames[0].image
+    );
+}
+
+#[test]
+fn ctrl_c_leaves_laser_off_slide_at_rest_files_whole() {
+    broken_off(false);
+}
+
+#[test]
+fn a_failing_disk_stops_the_scan_and_leaves_whole_files() {
+    broken_off(true);
+}
+
+#[test]
+fn an_open_interlock_is_said_not_recorded_as_dark_frames() {
+    let rig = rig(Mode::Stop);
+    let (mut opened, stage) = opened(&rig);
+    opened
+        .virtual_board
+        .as_ref()
+        .unwrap()
+        .board()
+        .set_interlock(true);
+    let outcome = sweep(&rig, &mut opened, &stage);
+    assert!(outcome.is_err(), "{outcome:?}");
+}
+
+/// The same over a pseudo-terminal, with the real serial port code and in real time.
+#[cfg(unix)]
+#[test]
+fn over_a_pseudo_terminal_in_real_time() {
+    let rig = rig(Mode::Constant);
+    let real = RealTime::start(open::simulated_board(&rig)).unwrap();
+    let scene = Scene::new(rig.profile(), rig.simulation.seed);
+    let stage = Stage::new(
+        Arc::new(Renderer::new(scene).unwrap()),
+        rig.camera.exposure_laser_ms,
+    );
+    stage.show(&Subject::Hand);
+    let board = Board::connect(real.path()).unwrap();
+    assert!(open::ready(&board, &rig).unwrap().is_some());
+    // Homed already: a second program need not home again.
+    assert!(open::ready(&board, &rig).unwrap().is_none());
+    let mut opened = Opened {
+        camera: Box::new(SimulatedCamera::wired(
+            stage.clone(),
+            open::wire(&rig, real.board()),
+        )),
+        board,
+        stage: None,
+        virtual_board: None,
+    };
+    let (swept, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen.len(), 12, "{:?}", swept.complaints());
+
+    // A camera that exists only here learns of triggers by the ledger.
+    opened.camera = Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1)));
+    let (swept, seen) = sweep(&rig, &mut opened, &stage).unwrap();
+    assert_eq!(seen.len(), 12, "{:?}", swept.complaints());
+}
+
+#[test]
+fn a_recording_is_replayed_frame_by_frame() {
+    let dir = tempfile::tempdir().unwrap();
+    let profile = cannula::simulation::Profile::Tiny;
+    cannula::simulation::record(dir.path(), profile, 5, &cannula::progress::Silent).unwrap();
+    let session = cannula::session::Session::open(dir.path()).unwrap();
+    let frames = session.manifest.scan.as_ref().unwrap().frames.clone();
+    let renderer = Renderer::new(Scene::new(profile, 5)).unwrap();
+    for missing in [None, Some(0), Some(7)] {
+        let files = frames
+            .iter()
+            .zip(0..)
+            .filter(|(_, i)| Some(*i) != missing)
+            .map(|(f, i)| (session.path(&f.image), trigger_us(f, i)))
+            .collect();
+        let mut camera = FolderCamera::of("replay".into(), files).unwrap();
+        let mut ledger = RecordedLedger::new(&frames, 1000.0);
+        let cancel = AtomicBool::new(false);
+        let mut follow = Follow {
+            camera: &mut camera,
+            cancel: &cancel,
+            timeout: Duration::from_millis(40),
+            laser: true,
+        };
+        let mut shots = 0;
+        let (sweep, unpaired) = follow
+            .run(
+                &mut ledger,
+                recorded_anchor(&frames),
+                &mut |trigger, picture| {
+                    shots += 1;
+                    // The hand lies between these.
+                    if (6..26).contains(&trigger.index) {
+                        let shot = Shot {
+                            index: trigger.index,
+                            steps: trigger.position.0.into(),
+                            slide_mm: frames[trigger.index as usize].slide_mm,
+                            trigger_us: trigger.time.0,
+                            laser: true,
+                            picture,
+                        };
+                        assert!(off_by_px(&renderer, &shot) < 1.2);
+                    }
+                    Ok(())
+                },
+            )
+            .unwrap();
+        let expected: Vec<u32> = missing.into_iter().collect();
+        assert_eq!(
+            unpaired.iter().map(|t| t.index).collect::<Vec<_>>(),
+            expected
+        );
+        assert_eq!(sweep.faults.len(), expected.len());
+        assert_eq!(shots, 31 - expected.len());
+    }
+}
