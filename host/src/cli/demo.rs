@@ -10,6 +10,7 @@ use crate::calibration::LightModel;
 use crate::output::{CalibrationFile, write_json};
 use crate::pipeline::{Method, Times, calibrate};
 use crate::progress::Progress;
+use crate::report;
 use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{LightOutcome, PoseOutcome, camera_pose, light_pose, scan};
 use crate::rig::config::Rig;
@@ -25,7 +26,8 @@ use std::time::Instant;
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
 pub struct Args {
-    /// The folder to write into: session/, calibration.json, cloud.ply, result.json, errors.json.
+    /// The folder to write into: session/, calibration.json, cloud.ply, result.json, errors.json,
+    /// report.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What the scene is drawn from.
@@ -96,6 +98,27 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             cloud: &cloud,
         },
     );
+    let (settings, source) = args.needle.settings();
+    let page = report::assemble(report::Sources {
+        session: &session,
+        calibrated: Some(&calibrated),
+        camera: &calibrated.camera,
+        measured: &measured,
+        angle_source: source.words(),
+        settings: report::settings(Method::Ml.name(), &settings),
+        puncture: None,
+        truth: errors
+            .iter()
+            .map(|e| report::TruthRow {
+                what: e.quantity.to_owned(),
+                error: e.error,
+                unit: e.unit.to_owned(),
+                limit: None,
+            })
+            .collect(),
+        times: &times,
+    })?;
+    report::write(&page, &args.out.join("report.html"))?;
     let seconds = begun.elapsed().as_secs_f64();
     let object = serde_json::json!({
         "seed": args.seed, "profile": args.profile.name(),

@@ -10,7 +10,7 @@ mod raster;
 mod sources;
 mod write;
 
-pub use model::Report;
+pub use model::{Report, TruthRow};
 pub use sources::{calibration as calibration_section, puncture_folder, settings, stripe_sample};
 pub use write::{ReportError, Sources, assemble, write};
 
