@@ -1,3 +1,4 @@
 //! Helpers that the end-to-end tests share.
 
 pub mod bench;
+pub mod truth;

@@ -28,9 +28,6 @@ impl From<MethodName> for Method {
     }
 }
 
-/// The needle's wanted angle where nobody asks for another, degrees.
-const DEFAULT_ANGLE_DEG: f64 = 30.0;
-
 /// What is asked of the needle.
 #[derive(clap::Args, Debug)]
 pub struct NeedleArgs {
@@ -70,7 +67,10 @@ impl NeedleArgs {
     pub fn settings(&self) -> (needle::Settings, AngleSource) {
         let (degrees, source) = match self.needle_angle {
             Some(degrees) => (degrees, AngleSource::CommandLine),
-            None => (DEFAULT_ANGLE_DEG, AngleSource::Default),
+            None => (
+                crate::puncture::default_decision().angle_deg,
+                AngleSource::Puncture,
+            ),
         };
         let settings = needle::Settings {
             angle: degrees.to_radians(),

@@ -35,6 +35,21 @@ pub enum NeedleError {
         /// Widest that is bridged, mm.
         limit_mm: f64,
     },
+    /// The measured surface is broken up where the needle is to go in.
+    #[error(
+        "the measured surface is broken up at the entry: it can't be followed there; scan again there, or choose another entry"
+    )]
+    Broken,
+    /// The light plane runs along the surface.
+    #[error(
+        "light plane and surface meet at {angle_deg:.0}° only (at least {limit_deg:.0}° are needed): turn the hand, or check that the scan's slide_mm are millimetres"
+    )]
+    Grazing {
+        /// Angle between the two, degrees.
+        angle_deg: f64,
+        /// Smallest allowed, degrees.
+        limit_deg: f64,
+    },
     /// Too much of the region was not measured.
     #[error("only {:.0} % of the entry region was measured ({:.0} % are needed): scan again, or choose an entry farther from the edge", 100.0 * coverage, 100.0 * needed)]
     NotCovered {

@@ -20,7 +20,7 @@ pub use uncertainty::Uncertainty;
 
 use crate::calibration::RigModel;
 use crate::cloud::CloudPoint;
-use crate::geometry::{Plane, Point3, Vector2, Vector3, tangent_basis};
+use crate::geometry::{Plane, Point3, Vector2, Vector3};
 use plane::PlaneFit;
 use surface::{Interpolation, Surface};
 
@@ -65,6 +65,9 @@ pub struct Limits {
     pub entry_sigma_mm: f64,
     /// Largest angle between the plane's normal and the line of sight, rad.
     pub obliquity: f64,
+    /// Smallest angle between light plane and surface, rad. A scan whose positions are in too large
+    /// a unit seems to lie in the light plane itself.
+    pub grazing: f64,
 }
 
 impl Default for Limits {
@@ -78,6 +81,7 @@ impl Default for Limits {
             angle_sigma: 1f64.to_radians(),
             entry_sigma_mm: 1.0,
             obliquity: 75f64.to_radians(),
+            grazing: 25f64.to_radians(),
         }
     }
 }
@@ -334,13 +338,15 @@ fn local_frame(
         })
         .collect();
     let rough = PlaneFit::new(&cells).ok_or(NeedleError::Degenerate)?;
+    let between = rig.light.normal.cross(&rough.plane.normal).norm();
+    if !(between >= limits.grazing.sin()) {
+        return Err(NeedleError::Grazing {
+            angle_deg: between.min(1.0).asin().to_degrees(),
+            limit_deg: limits.grazing.to_degrees(),
+        });
+    }
     // Along the stripe: where the light plane cuts the surface's plane.
-    let along = rig.light.normal.cross(&rough.plane.normal);
-    let along = if along.norm() > 0.05 {
-        along.normalize()
-    } else {
-        tangent_basis(&rough.plane.normal).column(0).into_owned()
-    };
+    let along = rig.light.normal.cross(&rough.plane.normal).normalize();
     Ok(surface::LocalFrame {
         origin: *start,
         along,

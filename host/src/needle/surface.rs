@@ -293,7 +293,7 @@ impl Surface {
                 (upper > 0 && upper < nodes.len()).then(|| nodes[upper].t - nodes[upper - 1].t)
             })
             .fold(f64::NEG_INFINITY, f64::max);
-        if gap_mm.is_finite() {
+        if gap_mm > self.gap {
             return NeedleError::Hole {
                 gap_mm,
                 limit_mm: self.gap,
@@ -304,6 +304,9 @@ impl Surface {
             .iter()
             .map(|n| (self.s(n.column as usize) - s).hypot(n.t - t))
             .fold(f64::INFINITY, f64::min);
+        if gap_mm.is_finite() && distance_mm <= self.gap {
+            return NeedleError::Broken;
+        }
         NeedleError::OffSurface { distance_mm }
     }
 

@@ -47,6 +47,14 @@ pub enum PipelineError {
         /// What is wrong.
         source: StripeError,
     },
+    /// An image is mostly saturated.
+    #[error("{path}: {percent:.0} % of the image is saturated; shorten the exposure or take the light away", path = path.display())]
+    Saturated {
+        /// The image.
+        path: PathBuf,
+        /// Part of it, per cent.
+        percent: f64,
+    },
     /// Too few images show the stripe.
     #[error("{path}: {reason} ({failed} of {of} images with the laser can't be used)", path = path.display())]
     NoStripe {

@@ -277,6 +277,7 @@ fn run<P: Pixel>(
         .enumerate()
         .map(|(i, frame)| {
             let image = read(&frame.image)?;
+            exposed(&image, || session.path(&frame.image))?;
             let result = whole
                 .frame(i as u32, frame.slide_mm, &image, times)
                 .map_err(|source| PipelineError::Stripe {
@@ -303,6 +304,24 @@ fn run<P: Pixel>(
         request,
         decision,
         warnings,
+    })
+}
+
+/// Refuses an image of which more than a third is saturated: no stripe could be told in it.
+fn exposed<P: Pixel>(
+    image: &Image<P>,
+    path: impl FnOnce() -> std::path::PathBuf,
+) -> Result<(), PipelineError> {
+    // Every 61st pixel, so that no column is favoured.
+    let samples = image.pixels().iter().step_by(61);
+    let of = samples.len().max(1);
+    let saturated = samples.filter(|p| Into::<f32>::into(**p) >= P::MAX).count();
+    if 3 * saturated <= of {
+        return Ok(());
+    }
+    Err(PipelineError::Saturated {
+        path: path(),
+        percent: 100.0 * saturated as f64 / of as f64,
     })
 }
 

@@ -1,0 +1,346 @@
+//! Recordings that are wrong: an error or a gate that names what is wrong, never a panic, never a
+//! confident wrong answer.
+
+use cannula::image::Image;
+use cannula::needle;
+use cannula::pipeline::{Measurement, Method, PipelineError, Times, calibrate, measure};
+use cannula::progress::Silent;
+use cannula::session::{self, CameraView, Manifest, Session, SessionError};
+use cannula_tests::truth::committed;
+use std::path::{Path, PathBuf};
+
+/// The small recording with its images named by their full paths, to be spoiled.
+fn recording() -> Manifest {
+    let folder = committed("tiny-1001");
+    let mut m = Session::open(&folder).unwrap().manifest;
+    let whole = |name: &mut String| *name = folder.join(&*name).display().to_string();
+    m.camera.iter_mut().for_each(|c| whole(&mut c.image));
+    for pose in &mut m.light {
+        pose.off.iter_mut().for_each(whole);
+        pose.on.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    if let Some(scan) = &mut m.scan {
+        scan.ambient.iter_mut().for_each(whole);
+        scan.frames.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    m
+}
+
+/// Writes it as it is, without the checks of `session::write`, and processes it.
+fn process(m: &Manifest) -> Result<Measurement, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let text = serde_json::to_vec(m).unwrap();
+    std::fs::write(folder.path().join("session.json"), text).unwrap();
+    process_folder(folder.path())
+}
+
+fn process_folder(folder: &Path) -> Result<Measurement, String> {
+    let said = |e: PipelineError| e.to_string();
+    let session = Session::open(folder).map_err(|e| e.to_string())?;
+    let times = Times::default();
+    let calibrated = calibrate(&session, Method::Ml, &times, &Silent).map_err(said)?;
+    let rig = calibrated.rig().ok_or("no light planes")?;
+    let settings = needle::Settings::default();
+    measure(&session, &rig, &[], Method::Ml, &settings, &times, &Silent).map_err(said)
+}
+
+/// The one sentence with which a recording is refused; it must hold one of the words.
+#[track_caller]
+fn refused(m: &Manifest, words: &[&str]) -> String {
+    match process(m) {
+        Ok(_) => panic!("accepted; should have been refused for {words:?}"),
+        Err(said) => {
+            println!("{said}");
+            assert!(
+                words.iter().any(|w| said.contains(w)),
+                "{words:?} not in: {said}"
+            );
+            assert!(!said.contains('\n'), "one sentence: {said}");
+            said
+        }
+    }
+}
+
+fn flat(value: u8) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("flat_{value}.png"));
+    session::write_png(&path, &Image::new(320, 240, value)).unwrap();
+    let name = path.display().to_string();
+    (folder, name)
+}
+
+#[test]
+fn the_recording_itself_is_good() {
+    process(&recording()).unwrap();
+}
+
+/// 200 000 mutations of session.json: bytes changed, put in, taken out, cut off.
+#[test]
+fn a_fuzzed_session_never_panics() {
+    let folder = committed("tiny-1001");
+    let good = std::fs::read(folder.join("session.json")).unwrap();
+    let path = folder.join("session.json");
+    let mut state = 0x1234_5678_9abc_def0u64;
+    let mut random = move |below: usize| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state % below as u64) as usize
+    };
+    let pool = br#"0123456789.-+eE,:;[]{}"truefalsn \u"#;
+    let (mut accepted, mut refusals, mut passed) = (0, 0, Vec::new());
+    for i in 0..200_000 {
+        let mut text = good.clone();
+        for _ in 0..1 + random(3) {
+            let at = random(text.len());
+            match random(5) {
+                0 => text[at] = random(256) as u8,
+                1 | 2 => text[at] = pool[random(pool.len())],
+                3 => text.insert(at, pool[random(pool.len())]),
+                _ => {
+                    text.remove(at);
+                }
+            }
+        }
+        if random(50) == 0 {
+            text.truncate(random(text.len()));
+        }
+        match session::parse(&text, &path) {
+            Ok(_) => {
+                accepted += 1;
+                if i % 400 == 0 {
+                    passed.push(text);
+                }
+            }
+            Err(e) => {
+                refusals += 1;
+                let said = e.to_string();
+                assert!(
+                    said.contains("session.json") && !said.contains('\n'),
+                    "{said}"
+                );
+            }
+        }
+    }
+    println!("{accepted} accepted, {refusals} refused");
+    assert!(refusals > 50_000 && accepted > 1_000);
+    // Some of those that pass go the whole way: a result or a sentence.
+    for text in passed.iter().take(40) {
+        let manifest = session::parse(text, &path).unwrap();
+        let folder_of = |name: &str| committed("tiny-1001").join(name).exists();
+        let missing = manifest.images().any(|name| !folder_of(name));
+        let here = tempfile::tempdir().unwrap();
+        std::fs::write(here.path().join("session.json"), text).unwrap();
+        for part in ["camera", "light", "scan"] {
+            link(&folder.join(part), &here.path().join(part));
+        }
+        let outcome = process_folder(here.path());
+        assert!(!missing || outcome.is_err(), "an image that is not there");
+    }
+}
+
+fn link(from: &Path, to: &Path) {
+    if from.is_dir() {
+        std::fs::create_dir_all(to).unwrap();
+        for entry in std::fs::read_dir(from).unwrap() {
+            let entry = entry.unwrap();
+            link(&entry.path(), &to.join(entry.file_name()));
+        }
+    } else if std::fs::hard_link(from, to).is_err() {
+        std::fs::copy(from, to).unwrap();
+    }
+}
+
+#[test]
+fn truncated_images_are_named() {
+    let m = recording();
+    let names = [
+        &m.camera[3].image,
+        &m.light[1].on[2].image,
+        &m.scan.as_ref().unwrap().frames[9].image,
+    ];
+    for (i, name) in names.into_iter().enumerate() {
+        let whole = std::fs::read(name).unwrap();
+        for part in [0.0, 0.01, 0.5, 0.99] {
+            let folder = tempfile::tempdir().unwrap();
+            let cut = folder.path().join("cut.png");
+            std::fs::write(&cut, &whole[..(whole.len() as f64 * part) as usize]).unwrap();
+            let mut bad = m.clone();
+            let cut = cut.display().to_string();
+            match i {
+                0 => bad.camera[3].image = cut,
+                1 => bad.light[1].on[2].image = cut,
+                _ => bad.scan.as_mut().unwrap().frames[9].image = cut,
+            }
+            refused(&bad, &["cut.png"]);
+        }
+    }
+}
+
+#[test]
+fn black_and_white_images_are_named() {
+    for value in [0, 255] {
+        let (_folder, name) = flat(value);
+        let mut bad = recording();
+        bad.camera.iter_mut().for_each(|c| c.image = name.clone());
+        refused(&bad, &["empty", "no checkerboard"]);
+
+        let mut bad = recording();
+        bad.light
+            .iter_mut()
+            .for_each(|l| l.off = Some(name.clone()));
+        bad.camera.clear();
+        refused(&bad, &["empty", "no checkerboard"]);
+
+        // Each frame its own name, as a dead camera would write them.
+        let folder = tempfile::tempdir().unwrap();
+        let mut bad = recording();
+        for (i, frame) in bad.scan.as_mut().unwrap().frames.iter_mut().enumerate() {
+            let copy = folder.path().join(format!("{i:03}.png"));
+            std::fs::copy(&name, &copy).unwrap();
+            frame.image = copy.display().to_string();
+        }
+        refused(&bad, &["0 points", "saturated"]);
+    }
+}
+
+#[test]
+fn too_few_and_parallel_views_are_named() {
+    let mut bad = recording();
+    bad.camera.truncate(1);
+    bad.light.clear();
+    refused(&bad, &["1 views", "1 view"]);
+
+    // Twelve times the same pose: no two boards are tilted against each other.
+    let mut bad = recording();
+    let one: CameraView = bad.camera[0].clone();
+    bad.camera.iter_mut().for_each(|c| *c = one.clone());
+    bad.light.clear();
+    refused(&bad, &["parallel", "tilt"]);
+}
+
+#[test]
+fn a_wrong_board_is_named() {
+    for square in [5.0, 20.0, 25.4, 100.0] {
+        let mut bad = recording();
+        bad.board.as_mut().unwrap().square_mm = square;
+        refused(&bad, &["square"]);
+    }
+    for (columns, rows) in [(9, 6), (8, 7), (7, 5)] {
+        let mut bad = recording();
+        let board = bad.board.as_mut().unwrap();
+        (board.columns, board.rows) = (columns, rows);
+        refused(&bad, &["corners"]);
+    }
+}
+
+#[test]
+fn swapped_images_are_named() {
+    // One pose's dark image and a lit one.
+    let mut bad = recording();
+    let pose = &mut bad.light[0];
+    std::mem::swap(pose.off.as_mut().unwrap(), &mut pose.on[3].image);
+    refused(&bad, &["swapped"]);
+    // All poses.
+    let mut bad = recording();
+    for pose in &mut bad.light {
+        std::mem::swap(pose.off.as_mut().unwrap(), &mut pose.on[2].image);
+    }
+    refused(&bad, &["swapped"]);
+    // The scan's ambient image and a frame.
+    let mut bad = recording();
+    let scan = bad.scan.as_mut().unwrap();
+    std::mem::swap(scan.ambient.as_mut().unwrap(), &mut scan.frames[12].image);
+    refused(&bad, &["swapped"]);
+}
+
+#[test]
+fn positions_in_another_unit_are_named() {
+    // Centimetres, metres, micrometres, inches, steps of the motor.
+    for factor in [0.1, 0.001, 1000.0, 1.0 / 25.4, 320.0] {
+        let mut bad = recording();
+        let scale = |f: &mut session::Frame| {
+            f.slide_mm *= factor;
+            f.slide_steps = None;
+        };
+        bad.light
+            .iter_mut()
+            .for_each(|l| l.on.iter_mut().for_each(scale));
+        bad.scan.as_mut().unwrap().frames.iter_mut().for_each(scale);
+        refused(&bad, &["slide", "metres", "travel"]);
+        // The scan alone.
+        let mut bad = recording();
+        bad.scan.as_mut().unwrap().frames.iter_mut().for_each(scale);
+        refused(&bad, &["scan", "slide_mm"]);
+    }
+}
+
+#[test]
+fn positions_out_of_order_or_twice_are_named() {
+    let mut bad = recording();
+    bad.light[2].on.swap(1, 4);
+    refused(&bad, &["order of travel"]);
+    let mut bad = recording();
+    let frames = &mut bad.scan.as_mut().unwrap().frames;
+    frames[5].slide_mm = frames[4].slide_mm;
+    refused(&bad, &["twice"]);
+}
+
+#[test]
+fn missing_parts_are_named() {
+    let mut bad = recording();
+    bad.scan = None;
+    refused(&bad, &["\"scan\""]);
+    let mut bad = recording();
+    bad.entry = None;
+    refused(&bad, &["\"entry\""]);
+    let mut bad = recording();
+    bad.board = None;
+    refused(&bad, &["\"board\""]);
+    let mut bad = recording();
+    bad.camera.clear();
+    bad.light.clear();
+    refused(&bad, &["\"camera\""]);
+    let nowhere = PathBuf::from("nowhere/at/all");
+    assert!(matches!(
+        Session::open(&nowhere),
+        Err(SessionError::NotFound { .. })
+    ));
+}
+
+#[test]
+fn an_entry_off_the_hand_is_named() {
+    for pixel in [[5.0, 5.0], [300.0, 20.0], [160.0, 235.0]] {
+        let mut bad = recording();
+        bad.entry.as_mut().unwrap().pixel = pixel;
+        refused(&bad, &["entry"]);
+    }
+}
+
+/// Without dark images the corners and the stripe come from the lit ones. At a quarter of the
+/// resolution the stripe can't be told from the squares: then it must say so.
+#[test]
+fn poses_without_a_dark_image_are_right_or_refused() {
+    let mut m = recording();
+    m.light.iter_mut().for_each(|l| l.off = None);
+    match process(&m) {
+        Ok(measured) => {
+            let good = process(&recording()).unwrap();
+            let turn = measured
+                .decision
+                .plane
+                .normal
+                .cross(&good.decision.plane.normal)
+                .norm();
+            assert!(
+                turn.asin().to_degrees() < 0.5,
+                "{}",
+                turn.asin().to_degrees()
+            );
+        }
+        Err(said) => assert!(
+            said.contains("light planes") || said.contains("stripe"),
+            "{said}"
+        ),
+    }
+}
