@@ -10,6 +10,8 @@ use crate::calibration::LightModel;
 use crate::output::{CalibrationFile, write_json};
 use crate::pipeline::{Method, Times, calibrate};
 use crate::progress::Progress;
+use crate::puncture::default_decision;
+use crate::puncture::tissue::Setup;
 use crate::report;
 use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{LightOutcome, PoseOutcome, camera_pose, light_pose, scan};
@@ -106,7 +108,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         measured: &measured,
         angle_source: source.words(),
         settings: report::settings(Method::Ml.name(), &settings),
-        puncture: None,
+        puncture: Some(report::decided(&default_decision(), &Setup::default())),
         truth: errors
             .iter()
             .map(|e| report::TruthRow {

@@ -6,6 +6,8 @@ use super::job::{
 };
 use crate::output::{CalibrationFile, write_json};
 use crate::pipeline::{Method, Stage, Times, calibrate};
+use crate::puncture::default_decision;
+use crate::puncture::tissue::Setup;
 use crate::report;
 use crate::session::Session;
 use std::path::PathBuf;
@@ -61,7 +63,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         measured: &measured,
         angle_source: source.words(),
         settings: report::settings(Method::from(args.method).name(), &settings),
-        puncture: None,
+        puncture: Some(report::decided(&default_decision(), &Setup::default())),
         truth: Vec::new(),
         times: &times,
     })?;

@@ -142,6 +142,11 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         energies,
     };
     write(&report, &args.out)?;
+    let page = crate::report::of_puncture(
+        crate::report::punctured(&report, &setup),
+        settings(&setup, &numerics),
+    );
+    crate::report::write(&page, &args.out.join("report.html"))?;
     out.result(&report, || {
         let mut text = String::new();
         for r in &report.runs {
@@ -170,6 +175,14 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         text
     })
+}
+
+/// What the runs assumed, for the report.
+fn settings(setup: &Setup, numerics: &Numerics) -> Vec<(String, String)> {
+    vec![
+        ("tissue, needle, friction".to_owned(), format!("{setup:?}")),
+        ("numerics".to_owned(), format!("{numerics:?}")),
+    ]
 }
 
 /// Runs angles side by side, each on one core.

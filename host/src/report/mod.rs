@@ -11,8 +11,11 @@ mod sources;
 mod write;
 
 pub use model::{Report, TruthRow};
-pub use sources::{calibration as calibration_section, puncture_folder, settings, stripe_sample};
-pub use write::{ReportError, Sources, assemble, write};
+pub use sources::{
+    calibration as calibration_section, decided, puncture_folder, punctured, settings,
+    stripe_sample,
+};
+pub use write::{ReportError, Sources, assemble, of_puncture, write};
 
 /// The whole page.
 pub fn render(report: &Report) -> String {

@@ -68,6 +68,16 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     })
 }
 
+/// The report of `cannula puncture`.
+pub fn of_puncture(section: Puncture, settings: Vec<(String, String)>) -> Report {
+    Report {
+        title: "puncture".to_owned(),
+        puncture: Some(section),
+        provenance: sources::provenance("", settings, &Times::default()),
+        ..Report::default()
+    }
+}
+
 /// Writes the page, whole or not at all.
 ///
 /// # Errors

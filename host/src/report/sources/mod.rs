@@ -1,11 +1,13 @@
 //! From the results of the stages to what the report shows. Reads the few images that are shown.
 
 mod calibration;
+mod decision;
 mod measurement;
 mod picture;
 mod puncture;
 
 pub use calibration::calibration;
+pub use decision::{decided, punctured};
 pub use measurement::{needle, scene, verdict};
 pub use picture::{picture, stripe_sample, stripes};
 pub use puncture::puncture_folder;

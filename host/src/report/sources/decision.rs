@@ -1,0 +1,170 @@
+//! The decision's part of the puncture's section, with the fast model over all angles.
+
+use crate::puncture::decision::Decision;
+use crate::puncture::fast::Calibration;
+use crate::puncture::output::PunctureReport;
+use crate::puncture::tissue::Setup;
+use crate::report::model::{Puncture, PunctureRun, Table};
+
+/// Said wherever a force is shown: what the model can't be trusted with.
+const CAUTION: &str = "The forces are a model's, with assumed toughness and strength; clinical practice is 15–30°. The order of the angles follows mostly from friction times path.";
+
+/// The section of a decision by the fast model alone.
+pub fn decided(d: &Decision, setup: &Setup) -> Puncture {
+    let fast = Calibration::stored();
+    Puncture {
+        runs: Vec::new(),
+        force_over_angle: (10..=80)
+            .map(|a| {
+                let angle = f64::from(a);
+                let peak = fast.angle(setup, angle).peak_force_n;
+                let error = d.model_error * peak;
+                [angle, peak, (peak - error).max(0.0), peak + error]
+            })
+            .collect(),
+        angle_deg: d.angle_deg,
+        criterion: serde_json::to_value(d.criterion)
+            .ok()
+            .and_then(|v| v.as_str().map(str::to_owned))
+            .unwrap_or_default(),
+        sentences: vec![d.sentence.clone(), CAUTION.to_owned()],
+        decision: decision(d),
+        sensitivity: sensitivity(d),
+    }
+}
+
+/// The section of a whole report, with the reference's curves.
+pub fn punctured(r: &PunctureReport, setup: &Setup) -> Puncture {
+    let runs = r
+        .runs
+        .iter()
+        .zip(&r.curves)
+        .map(|(run, curve)| PunctureRun {
+            angle_deg: run.angle_deg,
+            curve: curve
+                .iter()
+                .map(|c| [c.time_s, c.force_n, c.skin_n, c.fat_n, c.vein_n])
+                .collect(),
+            events: run
+                .events
+                .iter()
+                .filter_map(|e| {
+                    Some((
+                        e.layer.to_owned(),
+                        e.contact_s?,
+                        e.puncture_s,
+                        e.peak_force_n,
+                    ))
+                })
+                .collect(),
+        });
+    let mut section = decided(&r.decision, setup);
+    section.runs = runs.collect();
+    section.sentences.extend(
+        r.stopped
+            .iter()
+            .map(|s| format!("{}°: the run stopped: {}.", s.angle_deg, s.reason)),
+    );
+    section
+}
+
+fn table(head: &[&str], rows: Vec<Vec<String>>) -> Table {
+    Table {
+        head: head.iter().map(|h| (*h).to_owned()).collect(),
+        rows,
+    }
+}
+
+fn decision(d: &Decision) -> Table {
+    let rows = d.rows.iter().map(|r| {
+        vec![
+            format!("{:.0}", r.angle_deg),
+            format!("{:.2}", r.peak_force_n),
+            format!("{:.2}", r.peak_error_n),
+            format!("{:.2}", r.work_n_mm),
+            format!("{:.2}", r.path_mm),
+            format!("{:.2}", r.duration_s),
+            format!("{:.2}", r.clearance_mm).replace('-', "−"),
+            format!("{:.2}", r.lumen_length_mm),
+            if r.flags.is_empty() {
+                "nothing speaks against it".to_owned()
+            } else {
+                r.flags.join("; ")
+            },
+        ]
+    });
+    table(
+        &[
+            "angle / °",
+            "peak / N",
+            "σ / N",
+            "work / N·mm",
+            "path / mm",
+            "time / s",
+            "clearance to far wall / mm",
+            "straight length in lumen / mm",
+            "against it",
+        ],
+        rows.collect(),
+    )
+}
+
+fn sensitivity(d: &Decision) -> Table {
+    let mut rows: Vec<Vec<String>> = d
+        .rows
+        .iter()
+        .map(|r| {
+            let s = &r.sensitivity;
+            let force = |f: f64| format!("{f:.2}");
+            vec![
+                format!("{:.0}°", r.angle_deg),
+                force(s.friction_0_3),
+                force(s.friction_0_7),
+                force(s.toughness_half),
+                force(s.toughness_double),
+            ]
+        })
+        .collect();
+    // The answer under the same assumptions, in the order of the columns where one is known.
+    let best = |case: &str| {
+        let found = d.variations.iter().find(|v| v.case.contains(case));
+        found.map_or("–".to_owned(), |v| format!("{:.0}°", v.angle_deg))
+    };
+    rows.push(vec![
+        "lowest at".to_owned(),
+        best("0.3"),
+        best("0.7"),
+        best("half"),
+        best("doub"),
+    ]);
+    table(
+        &[
+            "peak force / N",
+            "friction 0.3",
+            "friction 0.7",
+            "toughness halved",
+            "toughness doubled",
+        ],
+        rows,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::puncture::default_decision;
+
+    #[test]
+    fn the_section_says_what_the_decision_says() {
+        let d = default_decision();
+        let section = decided(&d, &Setup::default());
+        assert_eq!(section.angle_deg, d.angle_deg);
+        assert_eq!(section.decision.rows.len(), d.rows.len());
+        assert_eq!(section.force_over_angle.len(), 71);
+        for [_, peak, low, high] in &section.force_over_angle {
+            assert!(low <= peak && peak <= high && *peak > 0.0);
+        }
+        let answers = section.sensitivity.rows.last().unwrap();
+        assert!(answers[1..].iter().any(|a| a.ends_with('°')), "{answers:?}");
+    }
+}
