@@ -200,7 +200,7 @@ fn black_and_white_images_are_named() {
             std::fs::copy(&name, &copy).unwrap();
             frame.image = copy.display().to_string();
         }
-        refused(&bad, &["0 points", "saturated"]);
+        refused(&bad, &["empty", "saturated"]);
     }
 }
 

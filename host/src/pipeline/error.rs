@@ -47,6 +47,14 @@ pub enum PipelineError {
         /// What is wrong.
         source: StripeError,
     },
+    /// An image is of one grey throughout.
+    #[error("{path}: the image is empty, every pixel is {grey}; check camera, exposure and lens cap", path = path.display())]
+    Empty {
+        /// The image.
+        path: PathBuf,
+        /// Its grey.
+        grey: f32,
+    },
     /// An image is mostly saturated.
     #[error("{path}: {percent:.0} % of the image is saturated; shorten the exposure or take the light away", path = path.display())]
     Saturated {

@@ -307,7 +307,8 @@ fn run<P: Pixel>(
     })
 }
 
-/// Refuses an image of which more than a third is saturated: no stripe could be told in it.
+/// Refuses an image of one grey throughout, and one of which more than a third is saturated: no
+/// stripe could be told in either.
 fn exposed<P: Pixel>(
     image: &Image<P>,
     path: impl FnOnce() -> std::path::PathBuf,
@@ -315,6 +316,14 @@ fn exposed<P: Pixel>(
     // Every 61st pixel, so that no column is favoured.
     let samples = image.pixels().iter().step_by(61);
     let of = samples.len().max(1);
+    if let Some(first) = image.pixels().first()
+        && samples.clone().all(|p| p == first)
+    {
+        return Err(PipelineError::Empty {
+            path: path(),
+            grey: (*first).into(),
+        });
+    }
     let saturated = samples.filter(|p| Into::<f32>::into(**p) >= P::MAX).count();
     if 3 * saturated <= of {
         return Ok(());
