@@ -144,13 +144,11 @@ pub fn nearest_step(ratio: StepsPerMm, um: i64) -> i64 {
     (2 * i128::from(um) * n + 1000 * d).div_euclid(2000 * d) as i64
 }
 
-/// STEP edges as moves from rest to rest: the first edge of a ramp comes t(1) after the start, every
-/// later one sooner than that after its predecessor.
+/// STEP edges as moves from rest to rest. Within a move no interval is longer than t(1), its last; from
+/// one move to the next there is t(1) and the rest between them.
 pub fn moves(steps: &[u64], acceleration: f64) -> Vec<&[u64]> {
     let first = HZ * (2.0 / acceleration).sqrt();
-    steps
-        .chunk_by(|a, b| ((b - a) as f64) < first - 2.0)
-        .collect()
+    steps.chunk_by(|a, b| ((b - a) as f64) < first + 100.0).collect()
 }
 
 /// What a move looked like beside the plan t(n) = f·√(2n/a), constant cruise, the same mirrored.
