@@ -96,6 +96,8 @@ export class Pico {
     const chip = mcu.peripherals[0x40064];
     chip.readUint32 = (offset) => (offset === 8 ? (kept ? 0 : 1 << 8) : 0);
     watchdog.onWatchdogTrigger = () => {
+      // As shipped the alarm would find itself due again and again.
+      watchdog.alarm.enable = false;
       this.rebooting = true;
     };
     this.frozen = false;

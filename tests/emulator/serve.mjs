@@ -150,7 +150,7 @@ if (process.argv[1]?.endsWith('serve.mjs')) {
   const session = new Session(process.argv[2]);
   const lines = createInterface({ input: process.stdin });
   for await (const line of lines) {
-    if (line === 'quit') break;
+    if (line === 'quit') process.exit(0);
     let answer;
     try {
       answer = session.command(line);

@@ -148,8 +148,7 @@ impl Emulator {
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        let _ = self.to.write_all(b"quit\n");
-        let _ = self.to.flush();
+        let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
