@@ -148,7 +148,9 @@ pub fn nearest_step(ratio: StepsPerMm, um: i64) -> i64 {
 /// one move to the next there is t(1) and the rest between them.
 pub fn moves(steps: &[u64], acceleration: f64) -> Vec<&[u64]> {
     let first = HZ * (2.0 / acceleration).sqrt();
-    steps.chunk_by(|a, b| ((b - a) as f64) < first + 100.0).collect()
+    steps
+        .chunk_by(|a, b| ((b - a) as f64) < first + 100.0)
+        .collect()
 }
 
 /// What a move looked like beside the plan t(n) = f·√(2n/a), constant cruise, the same mirrored.
