@@ -107,10 +107,11 @@ impl Rig {
         Ok((triggers, end.expect("a scan that ends well has a summary")))
     }
 
-    /// Acceleration in steps/s², a whole number for the ratios used here.
+    /// Acceleration as the board takes it: whole steps/s², rounded down.
     pub fn acceleration(&self) -> f64 {
-        f64::from(self.config.acceleration_um_s2) * f64::from(self.config.steps_per_mm.numerator)
-            / (1000.0 * f64::from(self.config.steps_per_mm.denominator))
+        let ratio = self.config.steps_per_mm;
+        let product = u64::from(self.config.acceleration_um_s2) * u64::from(ratio.numerator);
+        (product / (1000 * u64::from(ratio.denominator))) as f64
     }
 }
 
