@@ -9,6 +9,6 @@ if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
   exit 0
 fi
 (cd tests/emulator && npm ci --ignore-scripts --no-audit --no-fund)
-node --test tests/emulator/
+node --test tests/emulator/*.test.mjs
 # Two emulators at a time.
 cargo test -p cannula-tests --test emulator -- --test-threads=2 --nocapture
