@@ -8,8 +8,9 @@ use crate::profile::Profile;
 use cannula_shared::plan::TriggerPlan;
 use cannula_shared::units::{Micros, Steps};
 
-/// How much earlier than the lead time the laser is switched on.
-pub const GUARD: Micros = Micros(500);
+/// How much earlier than the lead time the laser is switched on: a poll that fills the rings of a
+/// steep ramp takes up to 0.6 ms on the RP2040, and the one that decides may just have begun.
+pub const GUARD: Micros = Micros(2_000);
 
 /// Windows around the triggers of a pass.
 #[derive(Clone, Copy, Debug)]
