@@ -420,7 +420,7 @@ mod tests {
             judge(&c, request(ScanMode::Ramped)).map(|_| ()),
             Err(Refusal::LeadTooLong {
                 lead_us: 80_000,
-                available_us: 70_200..=70_211
+                available_us: 68_700..=68_711
             })
         ));
         // At constant speed, the run-up grows instead.
@@ -429,8 +429,10 @@ mod tests {
             ..c
         };
         let (plan, _) = judge(&c, r).unwrap();
-        assert!(plan.pass.is_some_and(
-            |p| p.time(8000 - plan.begin.0 as u32).to_micros_down() >= Micros(180_500)
-        ));
+        assert!(
+            plan.pass
+                .is_some_and(|p| p.time(8000 - plan.begin.0 as u32).to_micros_down()
+                    >= Micros(180_000).after(GUARD))
+        );
     }
 }
