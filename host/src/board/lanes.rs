@@ -76,8 +76,8 @@ impl<S: Simd> Lanes<S> {
         let f = self - (rounded - Self::splat(simd, MAGIC));
         let power = f.polynomial([
             1.0,
-            0.693_147_2,
-            0.240_226_51,
+            std::f32::consts::LN_2,
+            0.240_226_5,
             0.055_504_11,
             0.009_618_13,
             0.001_333_36,

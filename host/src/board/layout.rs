@@ -346,10 +346,8 @@ impl<'a> Frame<'a> {
             .iter()
             .filter(|t| if t.3 % 2 == 0 { upright } else { turned });
         let best = fitting.max_by(|a, b| {
-            let key = |t: &&((i32, i32), (i32, i32), (i32, i32), i32)| {
-                (dark(t.0, t.3), rightward(t.0, t.1, columns))
-            };
-            let (a, b) = (key(a), key(b));
+            let rank = |origin, x, square| (dark(origin, square), rightward(origin, x, columns));
+            let (a, b) = (rank(a.0, a.1, a.3), rank(b.0, b.1, b.3));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
         });
         let &(origin, x, y, square) = best.unwrap_or(&turns[0]);

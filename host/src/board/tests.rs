@@ -227,8 +227,8 @@ fn accuracy(look: &Look, board: &BoardGeometry, poses: usize, seed: u64) -> (f64
             board,
             size,
             tilt,
-            random.within(0.0, 6.28),
-            random.within(0.0, 6.28),
+            random.within(0.0, std::f64::consts::TAU),
+            random.within(0.0, std::f64::consts::TAU),
         );
         let image = expose(look, &shine(look, &map, board), &mut random);
         let found = detect(&image, board).unwrap_or_else(|e| panic!("tilt {tilt:.2}: {e}"));

@@ -138,10 +138,10 @@ impl Progress for Output {
         }
         bar.set_message(stage.to_owned());
         bar.enable_steady_tick(Duration::from_millis(200));
-        if let Ok(mut place) = self.bar.lock() {
-            if let Some(old) = place.replace(bar) {
-                old.finish_and_clear();
-            }
+        if let Ok(mut place) = self.bar.lock()
+            && let Some(old) = place.replace(bar)
+        {
+            old.finish_and_clear();
         }
     }
 
@@ -152,10 +152,10 @@ impl Progress for Output {
     }
 
     fn finish(&self) {
-        if let Ok(mut place) = self.bar.lock() {
-            if let Some(bar) = place.take() {
-                bar.finish_and_clear();
-            }
+        if let Ok(mut place) = self.bar.lock()
+            && let Some(bar) = place.take()
+        {
+            bar.finish_and_clear();
         }
     }
 

@@ -179,6 +179,15 @@ pub struct Position {
     pub rms_mm: f64,
 }
 
+/// Table 3.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Light {
+    /// Common normal.
+    pub normal: [f64; 3],
+    /// a and b (mm) of D = a·x + b; none for a slide that stood at one position.
+    pub travel: Option<(f64, f64)>,
+}
+
 /// Camera and light planes.
 #[derive(Clone, Debug, Default)]
 pub struct Calibration {
@@ -190,8 +199,8 @@ pub struct Calibration {
     pub rms_px: f64,
     /// The views.
     pub views: Vec<BoardView>,
-    /// Common normal and (a, b); none for a camera alone.
-    pub light: Option<([f64; 3], Option<(f64, f64)>)>,
+    /// The light planes; none for a camera alone.
+    pub light: Option<Light>,
     /// The slide positions.
     pub positions: Vec<Position>,
     /// Mean |spacing − travel|, mm.

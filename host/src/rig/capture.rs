@@ -165,6 +165,9 @@ pub fn light_pose(
     Ok(LightOutcome::Taken { folder, sweep })
 }
 
+/// What looks at pictures as they come; an error ends the scan.
+pub type Live<'a> = dyn FnMut(Option<&Shot>, &Picture) -> Result<(), AcquireError> + 'a;
+
 /// Takes the scan of the hand. `live` sees the ambient picture (index `None`) and each shot as it
 /// comes.
 pub fn scan(
@@ -172,7 +175,7 @@ pub fn scan(
     rig: &super::config::Rig,
     recording: &mut Recording,
     force: bool,
-    live: &mut dyn FnMut(Option<&Shot>, &Picture) -> Result<(), AcquireError>,
+    live: &mut Live,
 ) -> Result<Scanned, CaptureError> {
     let folder = recording.scan_folder(force)?;
     acquisition.expose(rig.camera.exposure_laser_ms)?;

@@ -191,7 +191,7 @@ impl Scene {
     /// Board pose number i for the light planes: upright or on its side, at different depths, all
     /// slide positions crossing the pattern.
     fn light_pose(&self, i: usize, random: &mut Random) -> Pose {
-        let upright = std::f64::consts::FRAC_PI_2 * if i % 2 == 0 { 1.0 } else { -1.0 };
+        let upright = std::f64::consts::FRAC_PI_2 * if i.is_multiple_of(2) { 1.0 } else { -1.0 };
         let depths = [415.0, 470.0, 430.0, 450.0, 400.0, 440.0];
         for attempt in 0..2000 {
             let ease = 1.0 - f64::from(attempt) / 2000.0;

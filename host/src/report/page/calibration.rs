@@ -5,7 +5,7 @@ use super::needle::parameters;
 use super::table::table;
 use super::{chart, number, vector};
 use crate::report::chart as charts;
-use crate::report::model::{Calibration, Position};
+use crate::report::model::{Calibration, Light, Position};
 use maud::{Markup, html};
 
 /// The section.
@@ -49,7 +49,7 @@ fn tables(c: &Calibration) -> Markup {
         @if !c.table_1.is_empty() { p.soft { "In the paper: 38.708 to 134.205 before, 2.098 × 10⁻⁷ to 8.626 × 10⁻⁷ after. This figure says that the points lie on their rays; it does not measure the planes." } }
         (table("Table 2 for this rig: distance between neighbouring planes", &["slide / mm", "travelled / mm", "distance / mm", "error / mm"], &table_2))
         @if !table_2.is_empty() { p.soft { "Mean error " (number(c.spacing_error_mm, 4)) " mm; in the paper 0.096 mm («about 0.1 mm»)." } }
-        @if let Some((normal, travel)) = &c.light {
+        @if let Some(Light { normal, travel }) = &c.light {
             h3 { "Table 3 for this rig: light plane" }
             p { "Common normal " (vector(normal, 5))
                 @if let Some((a, b)) = travel { "; D = " (number(*a, 5)) " x " @if *b < 0.0 { "− " } @else { "+ " } (number(b.abs(), 4)) " mm" } "." }

@@ -52,7 +52,10 @@ fn full() -> Report {
                     ..Position::default()
                 },
             ],
-            light: Some(([0.0, -0.87, 0.48], Some((-1.0, -190.0)))),
+            light: Some(Light {
+                normal: [0.0, -0.87, 0.48],
+                travel: Some((-1.0, -190.0)),
+            }),
             ..Calibration::default()
         }),
         stripes: vec![StripeSample {

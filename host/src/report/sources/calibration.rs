@@ -3,7 +3,7 @@
 use super::three;
 use crate::geometry::Pose;
 use crate::pipeline::{Calibrated, Light, Method};
-use crate::report::model::{BoardView, Calibration, Position};
+use crate::report::model::{self, BoardView, Calibration, Position};
 
 /// What the report shows of a calibration.
 pub fn calibration(c: &Calibrated) -> Calibration {
@@ -13,9 +13,9 @@ pub fn calibration(c: &Calibrated) -> Calibration {
         parameters: parameters(c),
         rms_px: c.zhang.rms_px,
         views: views(c),
-        light: light.map(|l| {
-            let travel = l.travels.then_some((l.model.a, l.model.b));
-            (three(&l.model.normal), travel)
+        light: light.map(|l| model::Light {
+            normal: three(&l.model.normal),
+            travel: l.travels.then_some((l.model.a, l.model.b)),
         }),
         positions: light.map(positions).unwrap_or_default(),
         spacing_error_mm: light.map_or(0.0, |l| l.spacing_error_mm),

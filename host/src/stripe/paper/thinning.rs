@@ -41,9 +41,9 @@ pub fn skeleton(binary: &GrayImage) -> Vec<(u32, u32)> {
                 let transitions = (0..8).filter(|&k| !p[k] && p[(k + 1) % 8]).count();
                 let [n, _, e, _, s, _, w, _] = p;
                 let sides = if second {
-                    !(n && e && w) && !(n && s && w)
+                    !(n && w && (e || s))
                 } else {
-                    !(n && e && s) && !(e && s && w)
+                    !(e && s && (n || w))
                 };
                 if (2..=6).contains(&count) && transitions == 1 && sides {
                     remove.push(i);
