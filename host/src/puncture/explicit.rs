@@ -79,7 +79,7 @@ pub struct Body {
     pub u: Field,
     /// Velocity half a step before the displacement, mm per step.
     pub v: Field,
-    /// External forces of this step, N; zeroed by [`Body::step`].
+    /// External forces of this step, N; zeroed by each step.
     pub f: Field,
     /// Nodal mass, N·step²/mm.
     pub mass: Vec<f64>,

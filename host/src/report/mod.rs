@@ -1,6 +1,6 @@
 //! `report.html`: one file without network, for a screen and for paper.
 //!
-//! [`model`] is what a report shows, as plain data; [`chart`] draws; [`page`] puts it together. The
+//! [`model`] is what a report shows, as plain data; [`chart`] draws; the page is put together from them. The
 //! turnable view is three.js, bundled by `host/report-viewer` into `viewer.min.js`.
 
 pub mod chart;

@@ -20,7 +20,7 @@ pub struct Truth {
     pub entry: session::Entry,
     /// Where the entry pixel's ray meets the skin, mm.
     pub point: Point3,
-    /// The plane fitted to the skin within [`RADIUS_MM`], each part weighted by its area.
+    /// The plane fitted to the skin within 12 mm, each part weighted by its area.
     pub plane: Plane,
     /// Its residual, mm.
     pub plane_rms_mm: f64,

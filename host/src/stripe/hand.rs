@@ -1,9 +1,9 @@
 //! The stripe on skin: one sub-pixel centre a column, in segments without a jump.
 //!
-//! A search over the whole frame gives candidates a column ([`super::search`]), continuity makes
-//! chains of them ([`super::link`]), a Gaussian profile with the width of its neighbourhood is
-//! fitted in each column ([`super::profile`]), and the centres are smoothed along the stripe as
-//! far as their scatter bears it ([`super::smooth`]).
+//! A search over the whole frame gives candidates a column (`search`), continuity makes
+//! chains of them (`link`), a Gaussian profile with the width of its neighbourhood is
+//! fitted in each column (`profile`), and the centres are smoothed along the stripe as
+//! far as their scatter bears it (`smooth`).
 //!
 //! Skin's albedo changes under the profile (veins, spots) and draws the centre towards the brighter
 //! side: a Gaussian of width s times exp(g·v) is the same Gaussian moved by s²·g, with g the
