@@ -213,7 +213,8 @@ mod tests {
     #[test]
     fn bad_images_are_named() {
         let convert = |bytes: &[u8]| from_elf(bytes, FAMILY_RP2350_ARM_S);
-        assert_eq!(convert(b"text"), Err(Uf2Error::CutShort));
+        assert_eq!(convert(b"text"), Err(Uf2Error::NotElf));
+        assert_eq!(convert(b"\x7fELF\x01\x01"), Err(Uf2Error::CutShort));
         assert_eq!(convert(&[0; 64]), Err(Uf2Error::NotElf));
         assert_eq!(convert(&elf(&[])), Err(Uf2Error::Empty));
         let in_ram = elf(&[(0x2000_0000, vec![1])]);
