@@ -120,6 +120,9 @@ pub(super) fn find_grids(candidates: &[Candidate]) -> Vec<Grid> {
         };
         let mut grid = Grid { cells, map };
         extend(&mut grid, candidates, &taken);
+        if grid.cells.len() < 4 {
+            continue; // chance neighbours that no homography holds together
+        }
         for cell in &grid.cells {
             taken[cell.1] = true;
         }

@@ -430,6 +430,43 @@ fn images_without_a_board() {
     assert!(detect(&endless, &BOARD).is_err());
 }
 
+/// Blotches of all sizes: thousands of chance corners and neighbours, never a panic or a board.
+#[test]
+fn textures_are_no_boards() {
+    let (w, h) = (320usize, 240usize);
+    for seed in 1..40 {
+        let mut random = Random(seed);
+        let reach = 1 + (seed % 7) as usize;
+        let white: Vec<f64> = (0..w * h).map(|_| random.normal()).collect();
+        let mean = |source: &[f64], stride: usize, n: usize| -> Vec<f64> {
+            (0..w * h)
+                .map(|i| {
+                    let at = i / stride % n;
+                    let (low, high) = (at.saturating_sub(reach), (at + reach).min(n - 1));
+                    (low..=high)
+                        .map(|k| source[i + k * stride - at * stride])
+                        .sum::<f64>()
+                        / (high - low + 1) as f64
+                })
+                .collect()
+        };
+        let smooth = mean(&mean(&white, 1, w), w, h);
+        let contrast = 90.0 * (2 * reach + 1) as f64;
+        let pixels = smooth
+            .iter()
+            .map(|s| u8::from_f32((100.0 + contrast * s) as f32))
+            .collect();
+        let image = Image::from_vec(w, h, pixels).unwrap();
+        assert!(detect(&image, &BOARD).is_err(), "seed {seed}");
+        let small = BoardGeometry {
+            columns: 3,
+            rows: 3,
+            ..BOARD
+        };
+        let _ = detect(&image, &small); // chance may lay nine corners in a grid
+    }
+}
+
 fn load(path: &std::path::Path) -> Image<u8> {
     let image = ::image::open(path).unwrap().into_luma8();
     let (w, h) = (image.width() as usize, image.height() as usize);
