@@ -4,6 +4,7 @@ use super::Output;
 use crate::needle;
 use crate::output::{AngleSource, CalibrationFile, ResultFile, write_json, write_whole};
 use crate::pipeline::{Calibrated, Measurement, Method, Stage, Times, measure};
+use crate::progress::Progress;
 use crate::session::Session;
 use clap::ValueEnum;
 use std::path::Path;
@@ -82,6 +83,12 @@ impl NeedleArgs {
     }
 }
 
+/// Where the puncture decision chose the angle, its sentence goes wherever the angle goes: the
+/// paper's criterion may leave the clinical 15–30° or go through the far wall.
+pub fn decision_words(source: AngleSource) -> Option<String> {
+    (source == AngleSource::Puncture).then(|| crate::puncture::default_decision().sentence)
+}
+
 /// The parts that measuring needs, named before any image is opened.
 pub fn needs_scan(session: &Session) -> anyhow::Result<()> {
     if session.manifest.scan.is_none() {
@@ -116,7 +123,11 @@ pub fn measure_and_write(
     })?;
     let (settings, source) = args.settings();
     let positions = calibration.positions();
-    let measured = measure(session, &rig, &positions, method, &settings, times, out)?;
+    let mut measured = measure(session, &rig, &positions, method, &settings, times, out)?;
+    if let Some(words) = decision_words(source) {
+        out.warn(&words);
+        measured.warnings.push(words);
+    }
     let robot = session.manifest.robot_from_camera.as_ref();
     let mut result = ResultFile::new(&measured, "cloud.ply", source, method, robot);
     times.time(Stage::Write, || -> anyhow::Result<()> {

@@ -2,7 +2,7 @@
 //! it is matched, so that the result stands right after the last one.
 
 use super::Output;
-use super::job::NeedleArgs;
+use super::job::{NeedleArgs, decision_words};
 use crate::calibration::RigModel;
 use crate::image::Pixel;
 use crate::output::{ResultFile, write_json, write_whole};
@@ -99,7 +99,8 @@ fn decide<P: Pixel>(
     needle: &NeedleArgs,
 ) -> anyhow::Result<(Measurement, Duration)> {
     let request = entry.into();
-    let decision = whole.decide(&request, &needle.settings().0)?;
+    let (settings, source) = needle.settings();
+    let decision = whole.decide(&request, &settings)?;
     let after = last.elapsed();
     Ok((
         Measurement {
@@ -108,7 +109,7 @@ fn decide<P: Pixel>(
             counts: whole.counts,
             request,
             decision,
-            warnings: Vec::new(),
+            warnings: decision_words(source).into_iter().collect(),
         },
         after,
     ))

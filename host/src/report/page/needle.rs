@@ -33,12 +33,15 @@ fn angle(n: &Needle) -> Markup {
 
 fn verdict(v: &Verdict) -> Markup {
     html! {
-        div.verdict.not[!v.usable] {
-            strong { @if v.usable { "Usable" } @else { "Not usable" } }
-            @if v.usable && v.reasons.is_empty() { ": nothing that was checked speaks against it." }
+        div.verdict.not[!v.usable || !v.warnings.is_empty()] {
+            strong {
+                @if !v.usable { "Not usable" }
+                @else if v.warnings.is_empty() { "Usable" }
+                @else { "Measured; read this first" }
+            }
+            @if v.usable && v.warnings.is_empty() { ": nothing that was checked speaks against it." }
             @if !v.reasons.is_empty() { ul { @for r in &v.reasons { li { (r) } } } }
             @if !v.warnings.is_empty() {
-                p { "Weak:" }
                 ul { @for w in &v.warnings { li { (w) } } }
             }
         }
