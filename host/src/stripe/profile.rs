@@ -9,6 +9,7 @@
 //! that the caller has to scale them by what the scatter along the stripe shows.
 
 use crate::image::{Image, Pixel};
+use crate::simd::widest;
 
 /// Columns fitted at a time.
 pub(super) const LANES: usize = 16;
@@ -96,10 +97,12 @@ pub(super) fn fit<P: Pixel>(
     let half = half.clamp(3, MAX_HALF);
     let mut fits = Vec::with_capacity(starts.len());
     let mut windows = Windows::new(half);
-    let arch = pulp::Arch::new();
     for group in starts.chunks(LANES) {
         windows.fill(on, off, albedo, group, noise.saturation);
-        arch.dispatch(|| windows.solve(group, noise, free_width, &mut fits));
+        widest(
+            #[inline(always)]
+            || windows.solve(group, noise, free_width, &mut fits),
+        );
     }
     fits
 }

@@ -6,6 +6,7 @@
 //! that a bright spot elsewhere in the column cannot hide the stripe.
 
 use crate::image::{Image, Pixel};
+use crate::simd::widest;
 
 /// Rows of a band.
 const BAND: usize = 16;
@@ -84,12 +85,15 @@ pub(super) fn candidates<P: Pixel>(
     let mut best = vec![0_u16; bands * width];
     let mut row = vec![0_u16; bands * width];
     if height > 2 * MARGIN {
-        pulp::Arch::new().dispatch(|| {
-            for start in (0..width).step_by(STRIP) {
-                let columns = STRIP.min(width - start);
-                strip(on, off, region, shift, start, columns, &mut best, &mut row);
-            }
-        });
+        widest(
+            #[inline(always)]
+            || {
+                for start in (0..width).step_by(STRIP) {
+                    let columns = STRIP.min(width - start);
+                    strip(on, off, region, shift, start, columns, &mut best, &mut row);
+                }
+            },
+        );
     }
     collect(&best, &row, width, bands, region)
 }
