@@ -142,6 +142,8 @@ impl Camera for UvcCamera {
         let data = data.get(..meta.bytesused as usize).unwrap_or(data);
         Ok(Some(Frame {
             sequence: meta.sequence.into(),
+            // Seconds are 32 bits wide on some targets.
+            #[allow(clippy::unnecessary_cast)]
             time_us: meta.timestamp.sec as i64 * 1_000_000 + meta.timestamp.usec as i64,
             picture: grey(
                 &f.fourcc.repr,
