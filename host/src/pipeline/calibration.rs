@@ -340,13 +340,8 @@ fn light_planes(
             Light {
                 model: found.model,
                 travels: found.planes.len() > 1,
-                spacing_error_mm: mean(
-                    found
-                        .spacings
-                        .iter()
-                        .map(|s| s.distance_mm - s.travelled_mm),
-                ),
-                offset_error_mm: mean(found.offsets.iter().map(|o| o.predicted_mm - o.fitted_mm)),
+                spacing_error_mm: tables::spacing_error(&found.spacings),
+                offset_error_mm: tables::offset_error(&found.offsets),
                 planes: found.planes,
                 spacings: found.spacings,
                 offsets: found.offsets,
@@ -364,15 +359,6 @@ fn light_planes(
     }
     calibrated.light = Some(light);
     Ok(())
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut n, mut sum) = (0usize, 0.0);
-    for v in values {
-        n += 1;
-        sum += v.abs();
-    }
-    if n == 0 { 0.0 } else { sum / n as f64 }
 }
 
 fn named<N>(names: Vec<N>, pairs: Vec<(Measures, Measures)>) -> Vec<(N, Measures, Measures)> {
