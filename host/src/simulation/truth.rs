@@ -308,6 +308,91 @@ mod tests {
     use super::*;
     use crate::simulation::Profile;
 
+    /// A recording made by another program, with its own truth: the same hand must give the same
+    /// stripes in our scene.
+    #[test]
+    fn stripes_of_a_given_recording_come_out_alike() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let path = root.join("../shared/sessions/nominal-1001/truth.json");
+        let Ok(text) = std::fs::read(path) else {
+            println!("skipped");
+            return;
+        };
+        let t: Value = serde_json::from_slice(&text).unwrap();
+        let get = |v: &Value| v.as_f64().unwrap();
+        let list = |v: &Value| v.as_array().unwrap().iter().map(get).collect::<Vec<f64>>();
+        let v3 = |v: &Value| Vector3::from_column_slice(&list(v));
+        let (c, d) = (&t["camera"], &t["camera"]["distortion"]);
+        let mut scene = Scene::new(Profile::Tiny, 1);
+        scene.camera = scene.camera.with_parameters(
+            &[
+                &c["fx"], &c["fy"], &c["u0"], &c["v0"], &d["k1"], &d["k2"], &d["p1"], &d["p2"],
+                &d["k3"],
+            ]
+            .map(get),
+        );
+        scene.camera.width = get(&c["width"]) as u32;
+        scene.camera.height = get(&c["height"]) as u32;
+        let h = &t["hand"];
+        let hand = &mut scene.hand;
+        hand.origin = v3(&h["origin"]).into();
+        hand.axes = Matrix3::from_rows(&[0, 1, 2].map(|i| v3(&h["axes"][i]).transpose()));
+        hand.half_p = get(&h["half_p"]);
+        hand.half_q = get(&h["half_q"]);
+        hand.radius_p = get(&h["radius_p"]);
+        hand.radius_q = get(&h["radius_q"]);
+        hand.rolloff = get(&h["rolloff"]);
+        let rows = |v: &Value| v.as_array().unwrap().iter().map(list).collect::<Vec<_>>();
+        hand.knuckles = rows(&h["knuckles"])
+            .iter()
+            .map(|k| [k[0], k[1], k[2], k[3]])
+            .collect();
+        hand.ridges = rows(&h["ridges"])
+            .iter()
+            .map(|r| [r[0], r[1], r[2], r[3], r[4], r[5]])
+            .collect();
+        hand.relief = rows(&h["relief"])
+            .iter()
+            .map(|k| [k[0], k[1], k[2], k[3]])
+            .collect();
+        let normal = v3(&t["light"]["normal"]);
+        let renderer = Renderer::new(scene).unwrap();
+        let (mut compared, mut missing) = (0, 0);
+        for frame in t["scan"].as_array().unwrap().iter().step_by(5) {
+            let ours = scan_stripe(
+                &renderer,
+                &Plane {
+                    normal,
+                    d: get(&frame["D_actual"]),
+                },
+            );
+            for (ours, theirs) in ours.iter().zip(frame["v"].as_array().unwrap()) {
+                match (ours, theirs.as_f64()) {
+                    (Some(a), Some(b)) => {
+                        assert!((a - b).abs() < 2e-3, "{a} against {b}");
+                        compared += 1;
+                    }
+                    (None, None) => {}
+                    _ => missing += 1,
+                }
+            }
+        }
+        assert!(
+            compared > 300 && missing < compared / 20,
+            "{compared} {missing}"
+        );
+        // The entry point and the plane about it.
+        let point = Point3::from(v3(&t["entry"]["point_mm"]));
+        let (plane, rms) = region_plane(renderer.scene(), &point).unwrap();
+        let angle = plane
+            .normal
+            .cross(&v3(&t["plane"]["normal"]))
+            .norm()
+            .to_degrees();
+        assert!(angle < 0.01, "{angle}°");
+        assert!((rms - get(&t["plane"]["rms_mm"])).abs() < 0.003, "{rms}");
+    }
+
     #[test]
     fn the_stripe_lies_on_light_plane_and_skin() {
         let scene = Scene::new(Profile::Tiny, 3);
