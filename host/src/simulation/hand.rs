@@ -3,11 +3,11 @@
 //!
 //! In the hand's own frame (p across the hand, q towards the fingers, h out of the skin, mm)
 //!
-//! h(p, q) = −p²/2Rp − q²/2Rq + Σ knuckles + Σ ridges + Σ relief − rolloff·[(p/p₀)⁸ + (q/q₀)⁸]
+//! h(p, q) = −p²/2Rp − q²/2Rq + Σ knuckles + Σ ridges + Σ relief − rolloff·[(p/p₀)⁴ + (q/q₀)⁴]²
 //!
 //! where a knuckle [p, q, height, σ] is a Gaussian bump, a ridge [p, q, slope, bend, height, σ] a
 //! Gaussian across the curve p + slope·Δq + bend·Δq², and a relief [kp, kq, phase, height] a sine.
-//! The hand ends at the curve (p/p₀)⁸ + (q/q₀)⁸ = 1; behind it lies the table.
+//! The hand ends at the curve (p/p₀)⁴ + (q/q₀)⁴ = 1; behind it lies the table.
 
 use super::profile::Parameters;
 use super::random::Random;
@@ -176,20 +176,20 @@ impl Hand {
     /// Whether there is hand at (p, q).
     #[inline]
     pub fn covers(&self, p: f64, q: f64) -> bool {
-        let (a, b) = ((p / self.half_p).powi(4), (q / self.half_q).powi(4));
-        a * a + b * b <= 1.0
+        (p / self.half_p).powi(4) + (q / self.half_q).powi(4) <= 1.0
     }
 
     /// The surface at (p, q).
     #[inline]
     pub fn height(&self, p: f64, q: f64) -> Height {
         let (a, b) = (p / self.half_p, q / self.half_q);
-        let (a7, b7) = (a.powi(7), b.powi(7));
+        let (a3, b3) = (a.powi(3), b.powi(3));
+        let edge = a3 * a + b3 * b;
         let mut h = -0.5 * p * p / self.radius_p
             - 0.5 * q * q / self.radius_q
-            - self.rolloff * (a7 * a + b7 * b);
-        let mut by_p = -p / self.radius_p - 8.0 * self.rolloff * a7 / self.half_p;
-        let mut by_q = -q / self.radius_q - 8.0 * self.rolloff * b7 / self.half_q;
+            - self.rolloff * edge * edge;
+        let mut by_p = -p / self.radius_p - 8.0 * self.rolloff * edge * a3 / self.half_p;
+        let mut by_q = -q / self.radius_q - 8.0 * self.rolloff * edge * b3 / self.half_q;
         for &[p0, q0, height, sigma] in &self.knuckles {
             let (dp, dq, w) = (p - p0, q - q0, 1.0 / (sigma * sigma));
             let e = 0.5 * w * (dp * dp + dq * dq);
