@@ -10,8 +10,8 @@ for package in pkg-config libaravis-dev aravis-tools libusb-1.0-0-dev libclang-d
 done
 if [ ${#need[@]} -gt 0 ]; then
     export DEBIAN_FRONTEND=noninteractive
-    apt-get update -qq
-    apt-get install -y -qq --no-install-recommends "${need[@]}"
+    apt-get -qq -o DPkg::Lock::Timeout=300 update
+    apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends "${need[@]}" >/dev/null
 fi
 
 cargo clippy -q -p cannula --features aravis,v4l --all-targets -- -D warnings

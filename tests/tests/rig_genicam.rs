@@ -107,8 +107,8 @@ fn a_line_that_never_fires_ends_in_a_time_out() {
 #[test]
 fn lost_packets_never_make_a_wrong_picture() {
     let _one = PORT.lock().unwrap_or_else(PoisonError::into_inner);
-    // One packet in twenty-five is lost.
-    let _fake = Fake::start(&["-r", "40"]);
+    // Three packets in a thousand are lost; a picture takes some 220.
+    let _fake = Fake::start(&["-r", "3"]);
     let mut camera = Fake::open(TriggerSource::Software);
     camera.arm(&SHORT).unwrap();
     let (mut whole, mut broken, mut missing) = (0, 0, 0);
@@ -129,5 +129,5 @@ fn lost_packets_never_make_a_wrong_picture() {
     // Each is accounted for, and the loss shows: no frame passes as whole that is not.
     println!("{whole} whole, {broken} broken, {missing} missing");
     assert_eq!(whole + broken + missing, 60);
-    assert!(broken + missing > 0);
+    assert!(whole > 0 && broken + missing > 0);
 }

@@ -1,7 +1,8 @@
 //! Industrial cameras by GenICam, through aravis.
 //!
 //! The packet socket is not used (it needs privileges, and does not see the loopback), and the
-//! socket's buffer is sized by aravis (`Auto`): with both, no frame is lost over the loopback.
+//! socket's buffer is sized by aravis (`Auto`) when the first packet of a stream comes. A first frame can
+//! outrun that, so a new stream is primed with one that nobody needs, and then kept from arming to arming.
 
 use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
 use super::config::{self, TriggerSource};
@@ -16,6 +17,9 @@ use std::time::Duration;
 
 /// Buffers that the driver can fill before one is taken.
 const BUFFERS: usize = 32;
+/// How often a frame is asked for to prime a stream, and how long beyond its exposure each is awaited.
+const PRIME_TRIES: usize = 3;
+const PRIME_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// A GenICam camera.
 pub struct GenicamCamera {
@@ -24,6 +28,7 @@ pub struct GenicamCamera {
     description: String,
     size: (u32, u32),
     stream: Option<Stream>,
+    armed: bool,
     /// GigE Vision counts frames in 16 bits, 1 to 65535.
     last_id: u64,
     sequence: u64,
@@ -79,16 +84,59 @@ impl GenicamCamera {
             description,
             size: (width.max(0) as u32, height.max(0) as u32),
             stream: None,
+            armed: false,
             last_id: 0,
             sequence: 0,
         })
     }
 
     fn stop(&mut self) -> Result<(), CameraError> {
-        if self.stream.take().is_some() {
+        if std::mem::take(&mut self.armed) {
             self.camera.stop_acquisition().map_err(failed)?;
         }
+        // What was under way when it stopped belongs to nobody.
+        if let Some(stream) = &self.stream {
+            while let Some(buffer) = stream.try_pop_buffer() {
+                stream.push_buffer(buffer);
+            }
+        }
         Ok(())
+    }
+
+    fn create_stream(&self) -> Result<Stream, CameraError> {
+        let stream = self.camera.create_stream().map_err(failed)?;
+        if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
+            gv.set_socket_buffer(GvStreamSocketBuffer::Auto);
+        }
+        let payload = self.camera.payload().map_err(failed)? as usize;
+        for _ in 0..BUFFERS {
+            stream.push_buffer(Buffer::new_allocate(payload));
+        }
+        Ok(stream)
+    }
+
+    /// Asks for frames by software until one comes whole. A camera that has no software trigger goes
+    /// unprimed: its first frame may be lost, which the matching of frames to triggers finds.
+    fn prime(&self, stream: &Stream, exposure: &Exposure) -> Result<(), CameraError> {
+        let c = &self.camera;
+        if c.set_trigger("Software").is_err() {
+            return Ok(());
+        }
+        c.start_acquisition().map_err(failed)?;
+        let patience = PRIME_TIMEOUT + Duration::from_secs_f64(exposure.ms.max(0.0) / 1000.0);
+        for _ in 0..PRIME_TRIES {
+            if c.software_trigger().is_err() {
+                break;
+            }
+            if let Some(buffer) = stream.timeout_pop_buffer(patience.as_micros() as u64) {
+                let whole = matches!(buffer.status(), BufferStatus::Success);
+                stream.push_buffer(buffer);
+                if whole {
+                    break;
+                }
+            }
+        }
+        c.stop_acquisition().map_err(failed)
     }
 
     fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
@@ -182,6 +230,13 @@ impl Camera for GenicamCamera {
         }
         c.set_acquisition_mode(AcquisitionMode::Continuous)
             .map_err(failed)?;
+        if self.stream.is_none() {
+            let stream = self.create_stream()?;
+            self.prime(&stream, exposure)?;
+            self.stream = Some(stream);
+            self.stop()?;
+        }
+        let c = &self.camera;
         match self.settings.trigger {
             TriggerSource::Board => c
                 .set_trigger(&self.settings.trigger_line)
@@ -191,23 +246,16 @@ impl Camera for GenicamCamera {
                 .map_err(setting("camera.trigger"))?,
             TriggerSource::Free => c.clear_triggers().map_err(setting("camera.trigger"))?,
         }
-        let stream = c.create_stream().map_err(failed)?;
-        if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
-            gv.set_socket_buffer(GvStreamSocketBuffer::Auto);
-        }
-        let payload = c.payload().map_err(failed)? as usize;
-        for _ in 0..BUFFERS {
-            stream.push_buffer(Buffer::new_allocate(payload));
-        }
         c.start_acquisition().map_err(failed)?;
-        self.stream = Some(stream);
+        self.armed = true;
         self.last_id = 0;
         Ok(())
     }
 
     fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
-        let Some(stream) = &self.stream else {
-            return Err(CameraError::Failed("it is not armed".into()));
+        let stream = match &self.stream {
+            Some(stream) if self.armed => stream,
+            _ => return Err(CameraError::Failed("it is not armed".into())),
         };
         let micros = u64::try_from(timeout.as_micros()).unwrap_or(u64::MAX);
         let buffer = if micros == 0 {

@@ -185,9 +185,8 @@ impl Hand {
         let (a, b) = (p / self.half_p, q / self.half_q);
         let (a3, b3) = (a.powi(3), b.powi(3));
         let edge = a3 * a + b3 * b;
-        let mut h = -0.5 * p * p / self.radius_p
-            - 0.5 * q * q / self.radius_q
-            - self.rolloff * edge * edge;
+        let mut h =
+            -0.5 * p * p / self.radius_p - 0.5 * q * q / self.radius_q - self.rolloff * edge * edge;
         let mut by_p = -p / self.radius_p - 8.0 * self.rolloff * edge * a3 / self.half_p;
         let mut by_q = -q / self.radius_q - 8.0 * self.rolloff * edge * b3 / self.half_q;
         for &[p0, q0, height, sigma] in &self.knuckles {
