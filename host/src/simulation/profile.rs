@@ -49,7 +49,9 @@ pub struct Parameters {
     pub speckle_contrast: f32,
     /// Grain of the speckle, pixels.
     pub speckle_grain_px: f64,
-    /// Share of the laser light that skin scatters sideways.
+    /// How much of that power the laser gives on the board, which reflects more than skin.
+    pub board_laser: f32,
+    /// Laser light that comes out of the skin beside the line, as a part of what is reflected on it.
     pub glow_share: f32,
     /// Standard deviation of that scattering, mm.
     pub glow_mm: f64,
@@ -95,10 +97,11 @@ impl Profile {
             ambient_dn: 100.0,
             board_exposure: 2.0,
             laser_dn: 280.0,
-            speckle_contrast: 0.45,
-            speckle_grain_px: 1.0,
-            glow_share: 0.12,
-            glow_mm: 1.5,
+            board_laser: 0.55,
+            speckle_contrast: 0.36,
+            speckle_grain_px: 1.2,
+            glow_share: 0.6,
+            glow_mm: 1.35,
             vein_contrast: 0.3,
             spots: 8,
             hairs: 0,
@@ -118,12 +121,13 @@ impl Profile {
             },
             Self::Hard => Parameters {
                 psf_px: (1.0, 1.3),
-                read_noise_dn: 2.5,
-                shot_dn: 0.1,
+                read_noise_dn: 1.8,
+                shot_dn: 0.05,
                 laser_dn: 420.0,
-                speckle_contrast: 0.8,
+                board_laser: 0.8,
+                speckle_contrast: 0.9,
                 speckle_grain_px: 1.6,
-                glow_share: 0.3,
+                glow_share: 0.9,
                 glow_mm: 2.0,
                 vein_contrast: 0.5,
                 spots: 16,

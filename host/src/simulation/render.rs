@@ -364,7 +364,8 @@ impl Renderer {
         let laser = &self.scene.laser;
         let (w, h) = (line.width, line.height);
         let normal = target.pose.rotation * Vector3::z();
-        let peak = f64::from(self.scene.parameters.laser_dn) * normal.dot(&laser.beam).abs();
+        let p = &self.scene.parameters;
+        let peak = f64::from(p.laser_dn * p.board_laser) * normal.dot(&laser.beam).abs();
         line.render(&self.rays, tiles, &self.board_kernel(), |u, v| {
             let soft = self.board_softness(target, u, v);
             // EDGE_PX as a distance from the light plane.
@@ -440,7 +441,7 @@ impl Renderer {
         });
     }
 
-    /// Skin scatters part of the light sideways: that share is spread over the skin nearby.
+    /// Light that went into the skin comes out nearby.
     fn glow(&self, still: &Still, line: &mut Light, rows: (usize, usize), columns: (usize, usize)) {
         let share = self.scene.parameters.glow_share;
         let sigma = self.scene.parameters.glow_mm * self.scene.camera.fx / self.scene.hand.origin.z;
@@ -495,7 +496,7 @@ impl Renderer {
             for u in u0..u1 {
                 if skin(u, y) {
                     let value = &mut line.values[y * w + u];
-                    *value = (1.0 - share) * *value + share * glow[u - u0];
+                    *value += share * glow[u - u0];
                 }
             }
         }

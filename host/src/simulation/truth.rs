@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 /// Radius of the region about the entry to which the plane is fitted, mm.
 pub const RADIUS_MM: f64 = 12.0;
 /// Spacing of the grid of surface points that the true plane is fitted to, mm.
-const GRID_MM: f64 = 0.2;
+const GRID_MM: f64 = 0.1;
 
 /// The answer: what the pipeline should find on the hand.
 #[derive(Clone, Debug)]
