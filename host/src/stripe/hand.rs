@@ -106,13 +106,34 @@ fn in_columns<P: Pixel>(
     }
     chains.sort_by_key(|c| c.points.first().map_or(0, |p| p.u));
     let noise = chain::noise_in(image, ambient, &region);
+    let faint = faint(&chains);
     let mut segments = Vec::new();
-    for chain in &chains {
-        measure(image, ambient, chain, &noise, settings, &mut segments);
+    for chain in &mut chains {
+        let sparse = chain.brightness() < faint;
+        if sparse {
+            let mut column = 0;
+            chain.points.retain(|_| {
+                column += 1;
+                column % SPARSE == 1
+            });
+        }
+        measure(image, ambient, chain, &noise, settings, sparse, &mut segments);
     }
     classify(&mut segments);
     Ok(segments)
 }
+
+/// The response below which a chain is surely background: it is measured in every fourth column
+/// and not smoothed, since nothing is decided on it.
+fn faint(chains: &[Chain]) -> f32 {
+    let main = chains.iter().max_by_key(|c| c.strength);
+    main.map_or(0.0, |c| FAINT * c.brightness())
+}
+
+/// Part of the main chain's response below which another is surely background.
+const FAINT: f32 = 0.2;
+/// Every how many columns such a chain is measured.
+const SPARSE: usize = 4;
 
 /// If the ambient image has a clear stripe and the frame has none, they are swapped.
 fn refuse_swapped<P: Pixel>(
@@ -140,6 +161,7 @@ fn measure<P: Pixel>(
     chain: &Chain,
     noise: &Noise,
     settings: &HandSettings,
+    sparse: bool,
     segments: &mut Vec<Segment>,
 ) {
     let mut fits: Vec<Fit> = chain::fit(image, ambient, chain, noise);
@@ -148,7 +170,7 @@ fn measure<P: Pixel>(
         correct_for_albedo(ambient, &mut fits);
     }
     for piece in split(&fits) {
-        if let Some(segment) = segment(trimmed(piece), settings) {
+        if let Some(segment) = segment(trimmed(piece), settings, sparse) {
             segments.push(segment);
         }
     }
@@ -265,7 +287,7 @@ fn line(fits: &[Fit], at: f32) -> Option<(f32, f32)> {
 }
 
 /// One segment of a continuous piece; `None` if too little of it is good.
-fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
+fn segment(fits: &[Fit], settings: &HandSettings, sparse: bool) -> Option<Segment> {
     if fits.len() < LEAST {
         return None;
     }
@@ -280,7 +302,7 @@ fn segment(fits: &[Fit], settings: &HandSettings) -> Option<Segment> {
     let mut keep = near_median(&all);
     // Twice: gross outliers bend the first curve.
     let mut curve = None;
-    for _ in 0..2 {
+    for _ in 0..if sparse { 0 } else { 2 } {
         let good: Vec<Sample> = all
             .iter()
             .zip(&keep)

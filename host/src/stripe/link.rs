@@ -14,6 +14,11 @@ pub(super) struct Chain {
 }
 
 impl Chain {
+    /// Mean response of a point.
+    pub(super) fn brightness(&self) -> f32 {
+        self.strength as f32 / self.points.len().max(1) as f32
+    }
+
     fn span(&self) -> (u16, u16) {
         (
             self.points.first().map_or(0, |p| p.u),
