@@ -110,7 +110,7 @@ impl Default for Settings {
             angle: 30f64.to_radians(),
             stand_off_mm: 30.0,
             depth_mm: 3.25,
-            stripe_bias_px: 0.02,
+            stripe_bias_px: 0.008,
             limits: Limits::default(),
         }
     }

@@ -62,7 +62,7 @@ pub struct Node {
     pub t: f64,
     /// Height, mm.
     pub h: f64,
-    /// Standard deviation of one stripe point there, px.
+    /// Its standard deviation, px.
     pub sigma_px: f64,
     /// How the point moves with its centre, mm/px.
     pub shift: Vector3,
@@ -426,6 +426,10 @@ impl Surface {
     }
 }
 
+/// Half width of the parabola along a stripe. A vein's or tendon's ridge (σ 1.1 mm, 0.45 mm high)
+/// loses 0.008 mm by it, a usual one 0.002 mm; the noise falls with its root.
+const SMOOTH_MM: f64 = 1.25;
+
 /// Nodes of one stripe (ascending in s) into the columns that it crosses.
 fn stripe_nodes(stripe: &[Local], step: f64, half: usize, columns: &mut [Vec<Node>]) {
     if stripe.len() < 2 {
@@ -434,7 +438,9 @@ fn stripe_nodes(stripe: &[Local], step: f64, half: usize, columns: &mut [Vec<Nod
     let mut gaps: Vec<f64> = stripe.windows(2).map(|p| p[1].s - p[0].s).collect();
     let middle = gaps.len() / 2;
     let spacing = *gaps.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let window = (1.5 * step).max(2.0 * spacing);
+    let window = SMOOTH_MM.max(2.0 * spacing);
+    // The parabola's value at its middle is a mean over 8/9 of the window's half width.
+    let mean_mm = 8.0 / 9.0 * window;
     let widest = (3.0 * spacing).max(1.0);
     let (mut from, mut to) = (0, 0);
     for (j, column) in columns.iter_mut().enumerate() {
@@ -462,14 +468,15 @@ fn stripe_nodes(stripe: &[Local], step: f64, half: usize, columns: &mut [Vec<Nod
         };
         let straight = (p.t + f * (q.t - p.t), p.h + f * (q.h - p.h));
         let (t, h) = quadratic(near, s, window).unwrap_or(straight);
+        let grain = (0.5 * (p.correlation + q.correlation) * spacing).max(1e-3);
         column.push(Node {
             frame: p.frame,
             column: j as u32,
             t,
             h,
-            sigma_px: 0.5 * (p.sigma_px + q.sigma_px),
+            sigma_px: 0.5 * (p.sigma_px + q.sigma_px) * (grain / (grain + mean_mm)).sqrt(),
             shift: (p.shift + q.shift) * 0.5,
-            grain_mm: (0.5 * (p.correlation + q.correlation) * spacing).max(1e-3),
+            grain_mm: grain + mean_mm,
             bend: 0.0,
         });
     }

@@ -231,8 +231,7 @@ fn stripes(i: &Inputs<'_>, line: &LineTurn) -> Nine9 {
         for (at, &a) in stripe.iter().enumerate() {
             let na = &nodes[a];
             shared += influence[a] * i.stripe_bias_px;
-            // A node stands for a step of stripe: a grain shorter than that averages out.
-            let sigma = |k: usize| nodes[k].sigma_px * (nodes[k].grain_mm / step).min(1.0).sqrt();
+            let sigma = |k: usize| nodes[k].sigma_px;
             for &b in &stripe[at..] {
                 let apart = f64::from(nodes[b].column - na.column) * step;
                 let grain = 0.5 * (na.grain_mm + nodes[b].grain_mm);

@@ -20,6 +20,8 @@ use rayon::prelude::*;
 pub struct FrameResult {
     /// Points on the hand.
     pub hand: Vec<CloudPoint>,
+    /// The same as they were measured, without smoothing along the stripe.
+    pub measured: Vec<CloudPoint>,
     /// Points on the table behind it.
     pub background: Vec<CloudPoint>,
     /// Stripe points that gave no point in space.
@@ -37,6 +39,9 @@ pub struct Reconstruction<P: Pixel> {
     frames: u32,
     /// Points on the hand, frame by frame.
     pub cloud: Vec<CloudPoint>,
+    /// The same as they were measured, without smoothing along the stripe: the region's surface
+    /// is fitted to these.
+    measured: Vec<CloudPoint>,
     /// Points on the table behind it.
     pub background: Vec<CloudPoint>,
     /// Stripe points that gave no point in space.
@@ -60,6 +65,7 @@ impl<P: Pixel> Reconstruction<P> {
             settings: HandSettings::default(),
             frames: 0,
             cloud: Vec::new(),
+            measured: Vec::new(),
             background: Vec::new(),
             lost: Lost::default(),
             counts: Vec::new(),
@@ -110,6 +116,16 @@ impl<P: Pixel> Reconstruction<P> {
                 );
                 result.lost.no_ray += lost.no_ray;
                 result.lost.no_meeting += lost.no_meeting;
+                if segment.surface == Surface::Hand {
+                    triangulate(
+                        &segment.measured,
+                        segment.grain,
+                        index,
+                        slide_mm,
+                        &self.rig,
+                        &mut result.measured,
+                    );
+                }
             }
         });
         Ok(result)
@@ -152,6 +168,7 @@ impl<P: Pixel> Reconstruction<P> {
     pub fn add(&mut self, mut result: FrameResult) {
         self.counts.push(result.hand.len());
         self.cloud.append(&mut result.hand);
+        self.measured.append(&mut result.measured);
         self.background.append(&mut result.background);
         self.lost.no_ray += result.lost.no_ray;
         self.lost.no_meeting += result.lost.no_meeting;
@@ -184,10 +201,12 @@ impl<P: Pixel> Reconstruction<P> {
         settings: &needle::Settings,
     ) -> Result<Decision, NeedleError> {
         let mut settings = *settings;
+        let mut cloud = &self.measured;
         if self.method == Method::Paper {
             settings.method = PlaneMethod::Paper;
+            cloud = &self.cloud;
         }
-        needle::decide(&self.cloud, &self.rig, request, &settings)
+        needle::decide(cloud, &self.rig, request, &settings)
     }
 }
 

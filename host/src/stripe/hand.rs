@@ -58,6 +58,11 @@ pub struct Segment {
     /// How many neighbouring points share one error (speckle grains are wider than a pixel, and
     /// smoothing widens them): the variance of a mean of n points is `variance · correlation / n`.
     pub correlation: f64,
+    /// The same points as they were measured, without smoothing: for whoever fits a surface to
+    /// them, who knows better how far it may be smoothed.
+    pub measured: Vec<StripePoint>,
+    /// As `correlation`, of `measured`.
+    pub grain: f64,
 }
 
 /// Columns left out at each end of a segment: the edge of the surface is blurred into them.
@@ -83,7 +88,10 @@ pub fn extract<P: Pixel>(
             let turned = super::transposed(image);
             let turned_ambient = ambient.map(super::transposed);
             let mut segments = in_columns(&turned, turned_ambient.as_ref(), settings)?;
-            for point in segments.iter_mut().flat_map(|s| &mut s.points) {
+            for point in segments
+                .iter_mut()
+                .flat_map(|s| s.points.iter_mut().chain(&mut s.measured))
+            {
                 point.pixel = Vector2::new(point.pixel.y, point.pixel.x);
                 point.across = Vector2::new(point.across.y, point.across.x);
             }
@@ -318,34 +326,33 @@ fn segment(fits: &[Fit], settings: &HandSettings, sparse: bool) -> Option<Segmen
     }
     let scatter = curve.as_ref().map_or(Scatter::USUAL, |c| c.scatter);
     let smoothed = curve.as_ref().filter(|_| settings.smooth);
-    let mut points: Vec<StripePoint> = fits
+    let mut measured: Vec<StripePoint> = fits
         .iter()
         .zip(&all)
         .zip(&keep)
         .filter(|(_, k)| **k)
-        .map(|((fit, sample), _)| {
-            let (v, variance) = match smoothed {
-                Some(curve) => {
-                    let s = curve.at(sample.u);
-                    (s.v, s.variance)
-                }
-                None => (sample.v, sample.variance * scatter.scale),
-            };
-            StripePoint {
-                pixel: Vector2::new(sample.u as f64, v),
-                across: Vector2::new(0.0, 1.0),
-                variance: variance + FLOOR * FLOOR,
-                intensity: fit.peak,
-                width_px: fit.width,
-                quality: chain::quality(fit),
-            }
+        .map(|((fit, sample), _)| StripePoint {
+            pixel: Vector2::new(sample.u as f64, sample.v),
+            across: Vector2::new(0.0, 1.0),
+            variance: sample.variance * scatter.scale + FLOOR * FLOOR,
+            intensity: fit.peak,
+            width_px: fit.width,
+            quality: chain::quality(fit),
         })
         .collect();
-    if points.len() < LEAST {
+    if measured.len() < LEAST {
         return None;
     }
-    points.truncate(points.len() - END);
-    points.drain(..END);
+    measured.truncate(measured.len() - END);
+    measured.drain(..END);
+    let mut points = measured.clone();
+    if let Some(curve) = smoothed {
+        for p in &mut points {
+            let s = curve.at(p.pixel.x as usize);
+            p.pixel.y = s.v;
+            p.variance = s.variance + FLOOR * FLOOR;
+        }
+    }
     let n = points.len() as f64;
     let mean = points.iter().map(|p| p.variance).sum::<f64>() / n;
     // Smoothing moves information between columns but makes none: a mean over many columns keeps
@@ -356,6 +363,8 @@ fn segment(fits: &[Fit], settings: &HandSettings, sparse: bool) -> Option<Segmen
         points,
         surface: Surface::Hand,
         correlation,
+        measured,
+        grain: scatter.columns(),
     })
 }
 

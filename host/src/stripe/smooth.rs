@@ -1,7 +1,7 @@
 //! Centres along the stripe, smoothed as far as their scatter bears it.
 //!
 //! Speckle grains are wider than a column, so that the centres' errors are correlated: third differences
-//! of the centres over 1 to 4 columns, Var = σ²(20 − 30ρ(l) + 12ρ(2l) − 2ρ(3l)), give σ²
+//! of the centres over 1 to 6 columns, Var = σ²(20 − 30ρ(l) + 12ρ(2l) − 2ρ(3l)), give σ²
 //! and the correlation ρ, whatever smooth shape the surface has. A local quadratic is then fitted in
 //! windows of several widths, and each column takes the width of least estimated risk, bias² + variance
 //! (Mallows' Cp over the neighbourhood, with the correlation accounted for). Where the surface is
@@ -15,7 +15,7 @@ const HALVES: [usize; 9] = [0, 2, 3, 4, 5, 7, 10, 14, 20];
 /// Columns on either side over which the risk is averaged.
 const NEIGHBOURS: usize = 25;
 /// Lags up to which errors are correlated.
-const LAGS: usize = 4;
+const LAGS: usize = 8;
 
 /// A centre to smooth.
 #[derive(Clone, Copy, Debug)]
@@ -38,15 +38,15 @@ pub(super) struct Smoothed {
 pub(super) struct Scatter {
     /// Observed variance ÷ stated variance.
     pub scale: f64,
-    /// Correlation at lags 0…3.
+    /// Correlation at lags 0…7.
     pub correlation: [f64; LAGS],
 }
 
 impl Scatter {
-    /// Where too few columns are there to tell: speckle of two to three columns.
+    /// Where too few columns are there to tell: grains of two to three columns.
     pub const USUAL: Self = Self {
         scale: 2.0,
-        correlation: [1.0, 0.5, 0.18, 0.03],
+        correlation: [1.0, 0.5, 0.2, 0.05, 0.0, 0.0, 0.0, 0.0],
     };
 
     /// Columns that share one error.
@@ -74,29 +74,46 @@ impl Scatter {
             // The median of a squared normal deviate is 0.455.
             *squares.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.455
         };
-        let (one, two, three, four) = (spread(1), spread(2), spread(3), spread(4));
-        // Nearly that of a blurred grain, ρ(l) = ρ(1)^(l²).
-        let at = |first: f64| [1.0, first, first.powf(3.5), first.powi(8)];
-        // Over three and four columns little correlation is left, but the shape may show.
-        let far = |r: &[f64; LAGS]| {
-            (two / (20.0 - 30.0 * r[2]))
-                .min(three / 19.0)
-                .min(four / 20.0)
-        };
-        let mut best = (f64::INFINITY, at(0.0));
-        for k in 0..40 {
-            let r = at(0.02 * f64::from(k));
-            let miss = (far(&r) * (20.0 - 30.0 * r[1] + 12.0 * r[2] - 2.0 * r[3]) - one).abs();
-            if miss < best.0 {
-                best = (miss, r);
+        // Over many columns the surface's shape shows: only where there is room for them.
+        let lags = if n < 60 { 4 } else { 6 };
+        let spreads: Vec<f64> = (1..=lags).map(spread).collect();
+        // White noise beside grains whose correlation is nearly a Gaussian of the distance:
+        // ρ(l) = share·exp(−l²/2g²).
+        let mut best = (f64::INFINITY, 1.0, 0.0, 0.0);
+        for i in 0..GRAINS {
+            let grain = 0.5 + 0.15 * i as f64;
+            let rho = |lag: usize| (-0.5 * (lag as f64 / grain).powi(2)).exp();
+            let change: [f64; 6] = std::array::from_fn(|k| {
+                let lag = k + 1;
+                -30.0 * rho(lag) + 12.0 * rho(2 * lag) - 2.0 * rho(3 * lag)
+            });
+            for j in 0..=10 {
+                let share = 0.1 * f64::from(j);
+                let ratio = |k: usize| spreads[k] / (20.0 + share * change[k]);
+                // The surface's shape adds to the far differences: what exceeds the least of them
+                // by more than its own scatter is shape.
+                let far = || (2..lags).map(ratio);
+                let least = far().fold(f64::INFINITY, f64::min);
+                let scale = far().map(|r| r.min(1.3 * least)).sum::<f64>() / (lags - 2) as f64;
+                let miss: f64 = (0..3).map(|k| (ratio(k) / scale).ln().powi(2)).sum();
+                if miss < best.0 {
+                    best = (miss, scale, share, grain);
+                }
             }
         }
+        let (_, scale, share, grain) = best;
         Self {
-            scale: far(&best.1).max(0.02),
-            correlation: best.1,
+            scale: scale.max(0.02),
+            correlation: std::array::from_fn(|lag| match lag {
+                0 => 1.0,
+                _ => share * (-0.5 * (lag as f64 / grain).powi(2)).exp(),
+            }),
         }
     }
 }
+
+/// Sizes of grains that are tried.
+const GRAINS: usize = 17;
 
 /// The weights of a local quadratic fit's value at one of the window's columns.
 struct Kernel {
