@@ -72,8 +72,8 @@ pub struct Node {
     bend: f64,
 }
 
-/// Nodes (index, weight) that a place hangs on, by straight interpolation.
-pub type Links = [(u32, f64); 4];
+/// Nodes (index, weight) that a place hangs on: two columns, four stripes.
+pub type Links = [(u32, f64); 8];
 
 /// A height over the region's plane.
 #[derive(Clone, Debug)]
@@ -336,12 +336,23 @@ impl Surface {
             return None;
         }
         let f = x - x.floor();
-        let mut links = [(0, 0.0); 4];
+        let mut links = [(0, 0.0); 8];
         for (side, weight) in [(0, 1.0 - f), (1, f)] {
             let i = self.bracket(x as usize + side, t)?;
             let b = (t - self.nodes[i].t) / (self.nodes[i + 1].t - self.nodes[i].t);
-            links[2 * side] = (i as u32, weight * (1.0 - b));
-            links[2 * side + 1] = (i as u32 + 1, weight * b);
+            // The spline overshoots a moved node: half way between two stripes of many it takes
+            // −0.1, 0.6, 0.6 and −0.1 of them.
+            let range = &self.columns[x as usize + side];
+            let four = i > range.start && i + 2 < range.end;
+            let over = if four { 0.4 * b * (1.0 - b) } else { 0.0 };
+            let link = |k: usize, share: f64| (k as u32, weight * share);
+            let at = 4 * side;
+            links[at] = link(i, 1.0 - b + over);
+            links[at + 1] = link(i + 1, b + over);
+            if four {
+                links[at + 2] = link(i - 1, -over);
+                links[at + 3] = link(i + 2, -over);
+            }
         }
         Some(links)
     }
@@ -469,14 +480,16 @@ fn stripe_nodes(stripe: &[Local], step: f64, half: usize, columns: &mut [Vec<Nod
         let straight = (p.t + f * (q.t - p.t), p.h + f * (q.h - p.h));
         let (t, h) = quadratic(near, s, window).unwrap_or(straight);
         let grain = (0.5 * (p.correlation + q.correlation) * spacing).max(1e-3);
+        // The mean has less noise, shared over a longer way: variance × way stays.
+        let wide = grain.hypot(mean_mm);
         column.push(Node {
             frame: p.frame,
             column: j as u32,
             t,
             h,
-            sigma_px: 0.5 * (p.sigma_px + q.sigma_px) * (grain / (grain + mean_mm)).sqrt(),
+            sigma_px: 0.5 * (p.sigma_px + q.sigma_px) * (grain / wide).sqrt(),
             shift: (p.shift + q.shift) * 0.5,
-            grain_mm: grain + mean_mm,
+            grain_mm: wide,
             bend: 0.0,
         });
     }

@@ -73,7 +73,9 @@ pub(super) fn fit<P: Pixel>(
     let first = profile::fit(on, off, None, &sparse, half, noise, true);
     let widths = local_widths(&first, rough);
     let noise = Noise {
-        speckle: PIXEL * speckle(&first, noise),
+        // Without the image without laser the flanks carry the skin's own pattern: no more weight
+        // on them.
+        speckle: speckle(&first, noise) * if off.is_some() { PIXEL } else { 1.0 },
         ..*noise
     };
     let starts: Vec<Start> = starts

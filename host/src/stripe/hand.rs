@@ -125,7 +125,15 @@ fn in_columns<P: Pixel>(
                 column % SPARSE == 1
             });
         }
-        measure(image, ambient, chain, &noise, settings, sparse, &mut segments);
+        measure(
+            image,
+            ambient,
+            chain,
+            &noise,
+            settings,
+            sparse,
+            &mut segments,
+        );
     }
     classify(&mut segments);
     Ok(segments)

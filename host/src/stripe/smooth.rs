@@ -92,10 +92,11 @@ impl Scatter {
                 let ratio = |k: usize| spreads[k] / (20.0 + share * change[k]);
                 // The surface's shape adds to the far differences: what exceeds the least of them
                 // by more than its own scatter is shape.
-                let far = || (2..lags).map(ratio);
-                let least = far().fold(f64::INFINITY, f64::min);
-                let scale = far().map(|r| r.min(1.3 * least)).sum::<f64>() / (lags - 2) as f64;
-                let miss: f64 = (0..3).map(|k| (ratio(k) / scale).ln().powi(2)).sum();
+                let least = (1..lags).map(ratio).fold(f64::INFINITY, f64::min);
+                let far = |k: usize| ratio(k).min(SCATTER * least);
+                let scale = (1..lags).map(far).sum::<f64>() / (lags - 1) as f64;
+                let miss = (ratio(0) / scale).ln().powi(2)
+                    + (1..3).map(|k| (far(k) / scale).ln().powi(2)).sum::<f64>();
                 if miss < best.0 {
                     best = (miss, scale, share, grain);
                 }
@@ -112,6 +113,8 @@ impl Scatter {
     }
 }
 
+/// How much the estimates of a variance from different lags differ by chance.
+const SCATTER: f64 = 1.15;
 /// Sizes of grains that are tried.
 const GRAINS: usize = 17;
 

@@ -1,3 +1,4 @@
-//! Tests against recordings with truth and against a renderer of their own.
+//! Tests of the extractors as a whole.
 
 mod recordings;
+mod scenes;
