@@ -122,6 +122,58 @@ fn a_region_that_is_not_flat_is_refused() {
     assert!(matches!(said, Err(NeedleError::NotFlat { .. })), "{said:?}");
 }
 
+/// Limits that the scene breaks by a known amount: the refusal names that amount.
+#[test]
+fn oblique_and_grazing_views_are_refused_with_their_angle() {
+    let (hand, rig, request) = scene(8);
+    let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    let normal = PlaneFit::new(&hand.region()).unwrap().plane.normal;
+    let mut settings = Settings::default();
+    settings.limits.obliquity = 0.1;
+    let sight = hand
+        .entry()
+        .coords
+        .normalize()
+        .dot(&normal)
+        .acos()
+        .to_degrees();
+    match decide(&points, &rig, &request, &settings) {
+        Err(NeedleError::Oblique {
+            angle_deg,
+            limit_deg,
+        }) => {
+            assert!((angle_deg - sight).abs() < 0.1, "{angle_deg} {sight}");
+            assert!((limit_deg - 0.1f64.to_degrees()).abs() < 1e-9);
+        }
+        other => panic!("{other:?}"),
+    }
+    let mut settings = Settings::default();
+    settings.limits.grazing = 1.57;
+    let between = rig.light.normal.cross(&normal).norm().asin().to_degrees();
+    match decide(&points, &rig, &request, &settings) {
+        Err(NeedleError::Grazing { angle_deg, .. }) => {
+            assert!((angle_deg - between).abs() < 1.5, "{angle_deg} {between}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A calibration that knows the light planes to 3 mm only: the entry is as unsure, and refused.
+#[test]
+fn an_uncertain_result_is_refused_with_its_figures() {
+    let (hand, mut rig, request) = scene(9);
+    let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    rig.covariance[(12, 12)] = 9.0;
+    let ray = hand.entry().coords.normalize();
+    let along = 3.0 / rig.light.normal.dot(&ray).abs();
+    match decide(&points, &rig, &request, &Settings::default()) {
+        Err(NeedleError::TooUncertain { entry_mm, .. }) => {
+            assert!((entry_mm / along - 1.0).abs() < 0.01, "{entry_mm} {along}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
 /// Points far off a stripe (a reflection that got through) must not tilt the plane.
 #[test]
 fn stray_points_do_not_tilt_the_plane() {

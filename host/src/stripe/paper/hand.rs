@@ -40,7 +40,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             gamma: 1.6,
-            closing: 4,
+            closing: 3,
         }
     }
 }
@@ -74,6 +74,9 @@ pub fn region<P: Pixel>(image: &Image<P>) -> Region {
         })
 }
 
+/// A stripe fills less of the hand's region than this.
+const LARGEST: f64 = 0.1;
+
 /// The stripe's skeleton inside the region, in the image's pixels. The variance is that of thinning
 /// (0.4 px RMS), the same for all: the method knows no better.
 pub fn extract<P: Pixel>(
@@ -103,6 +106,11 @@ pub fn extract<P: Pixel>(
     });
     let level = otsu_level(&transformed);
     let binary = threshold(&transformed, level, ThresholdType::Binary);
+    // Where the stripe is short or missing the level parts bright skin from dark.
+    let white = binary.pixels().filter(|p| p.0[0] > 0).count();
+    if white as f64 > LARGEST * (binary.width() * binary.height()) as f64 {
+        return Vec::new();
+    }
     let closed = close(&binary, Norm::LInf, settings.closing);
     thinning::skeleton(&closed)
         .into_iter()
