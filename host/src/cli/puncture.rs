@@ -5,7 +5,6 @@ use super::output::BadArgument;
 use crate::progress::Progress;
 use crate::puncture::Calibration;
 use crate::puncture::decision::{self, Criterion, Reference};
-use crate::puncture::explicit::Stopped;
 use crate::puncture::output::{
     Convergence, PunctureReport, RunSummary, StoppedRun, curve, summary, write,
 };
@@ -102,7 +101,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 out.warn(&format!("{angle_deg}°: {e}"));
                 stopped.push(StoppedRun {
                     angle_deg,
-                    reason: e.to_string(),
+                    reason: e,
                 });
             }
         }
@@ -151,18 +150,22 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         let mut text = String::new();
         for r in &report.runs {
             text += &format!(
-                "{:>5}°  peak {:.2} N  path {:.2} mm  work {:.2} N·mm  energy error {:.2} %  kinetic {:.1} %\n",
+                "{:>5}°  peak {:.2} N  path {:.2} mm  work {:.2} N·mm  energy error {:.2} %  kinetic {:.1} %  {:.0} M brick updates/s\n",
                 r.angle_deg,
                 r.peak_force_n,
                 r.path_mm,
                 r.work_n_mm,
                 100.0 * r.quality.energy_error,
                 100.0 * r.quality.kinetic_share,
+                r.quality.brick_updates_per_s * 1e-6,
             );
         }
         text += &report.decision.sentence;
+        if !report.convergence.is_empty() {
+            text += &format!("\n{}", Convergence::HEAD);
+        }
         for c in &report.convergence {
-            text += &format!("\n{:>5}°  {}", c.angle_deg, c.say());
+            text += &format!("\n{}", c.say());
         }
         if let Some(paper) = &report.paper {
             for e in &paper.events {
@@ -186,7 +189,8 @@ fn settings(setup: &Setup, numerics: &Numerics) -> Vec<(String, String)> {
 }
 
 /// Runs angles side by side, each on one core.
-fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<Run, Stopped>> {
+/// A run that stopped, or whose energy does not close, is a reason in words.
+fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<Run, String>> {
     const PARTS: usize = 50;
     out.start("puncture", PARTS * jobs.len());
     let results = jobs
@@ -201,7 +205,11 @@ fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<
                     out.step();
                 }
             };
-            puncture(setup, *angle, numerics, &progress)
+            let run = puncture(setup, *angle, numerics, &progress).map_err(|e| e.to_string())?;
+            match run.refusal() {
+                Some(reason) => Err(reason),
+                None => Ok(run),
+            }
         })
         .collect();
     out.finish();
@@ -233,18 +241,8 @@ fn refine(
     runs.iter()
         .zip(results.chunks(2))
         .map(|(r, pair)| {
-            let peak = |k: usize| {
-                pair.get(k)
-                    .and_then(|p| p.as_ref().ok())
-                    .map(|p| summary(p).peak_force_n)
-            };
-            Convergence {
-                angle_deg: r.angle_deg,
-                mesh_mm: numerics.h_mm,
-                peak_force_n: r.peak_force_n,
-                peak_half_step_n: peak(0),
-                peak_half_mesh_n: peak(1),
-            }
+            let finer = |k: usize| pair.get(k).and_then(|p| p.as_ref().ok());
+            Convergence::of(r, numerics.h_mm, finer(0), finer(1))
         })
         .collect()
 }

@@ -78,7 +78,7 @@ pub struct PunctureReport {
     pub format: &'static str,
     /// Runs of the reference solver.
     pub runs: Vec<RunSummary>,
-    /// Angles whose run stopped, with the reason.
+    /// Angles whose run stopped or was refused, with the reason.
     pub stopped: Vec<StoppedRun>,
     /// The decision.
     pub decision: Decision,
@@ -96,7 +96,7 @@ pub struct PunctureReport {
     pub energies: Vec<Vec<Energy>>,
 }
 
-/// How far a peak moves under refinement.
+/// How far a peak moves under refinement, and what that costs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Convergence {
     /// Angle, degrees.
@@ -109,29 +109,65 @@ pub struct Convergence {
     pub peak_half_step_n: Option<f64>,
     /// With half the brick; None if that run stopped.
     pub peak_half_mesh_n: Option<f64>,
+    /// Brick updates with half the brick over those of the run: 16 is the fourth power.
+    pub updates_ratio: Option<f64>,
+    /// Wall time with half the brick over that of the run.
+    pub seconds_ratio: Option<f64>,
 }
 
 impl Convergence {
+    /// A run beside the same with half the step and with half the brick (None: it stopped).
+    pub fn of(
+        run: &RunSummary,
+        mesh_mm: f64,
+        half_step: Option<&Run>,
+        half_mesh: Option<&Run>,
+    ) -> Self {
+        let (half_step, half_mesh) = (half_step.map(summary), half_mesh.map(summary));
+        let updates = |q: &Quality| q.bricks as f64 * q.steps as f64;
+        let ratio = |f: &dyn Fn(&Quality) -> f64| {
+            let finer = half_mesh.as_ref()?;
+            Some(f(&finer.quality) / f(&run.quality).max(1e-12))
+        };
+        Self {
+            angle_deg: run.angle_deg,
+            mesh_mm,
+            peak_force_n: run.peak_force_n,
+            peak_half_step_n: half_step.map(|r| r.peak_force_n),
+            updates_ratio: ratio(&updates),
+            seconds_ratio: ratio(&|q| q.seconds),
+            peak_half_mesh_n: half_mesh.map(|r| r.peak_force_n),
+        }
+    }
+
+    /// Head of the table.
+    pub const HEAD: &str = "angle   mesh mm  peak N   half step        half mesh        cost";
+
     /// A line of the table.
     pub fn say(&self) -> String {
-        let part = |what: &str, peak: Option<f64>| match peak {
+        let part = |peak: Option<f64>| match peak {
             Some(p) => format!(
-                "{what} {p:.3} N ({:+.1} %)",
+                "{p:.3} ({:+.1} %)",
                 100.0 * (p / self.peak_force_n.max(1e-12) - 1.0)
             ),
-            None => format!("{what}: the run stopped"),
+            None => "stopped".to_owned(),
+        };
+        let cost = match (self.updates_ratio, self.seconds_ratio) {
+            (Some(u), Some(s)) => format!("×{u:.1} brick updates, ×{s:.1} seconds"),
+            _ => String::new(),
         };
         format!(
-            "peak {:.3} N at {} mm; {}; {}",
-            self.peak_force_n,
+            "{:>5}°  {:<7}  {:<7.3}  {:<15}  {:<15}  {cost}",
+            self.angle_deg,
             self.mesh_mm,
-            part("half the step", self.peak_half_step_n),
-            part("half the brick", self.peak_half_mesh_n)
+            self.peak_force_n,
+            part(self.peak_half_step_n),
+            part(self.peak_half_mesh_n)
         )
     }
 }
 
-/// A run that stopped.
+/// A run that stopped, or whose energy does not close.
 #[derive(Clone, Debug, Serialize)]
 pub struct StoppedRun {
     /// Its angle, degrees.

@@ -31,7 +31,7 @@ pub struct Numerics {
 impl Default for Numerics {
     fn default() -> Self {
         Self {
-            h_mm: 0.2,
+            h_mm: 0.15,
             advance: 0.002,
             along_vein_mm: 0.0,
             sample_mm: 0.025,
@@ -136,7 +136,35 @@ pub struct Run {
     pub transfixed: bool,
 }
 
+/// Largest share of the needle's work that may go missing in a run that is reported.
+pub const ENERGY_LIMIT: f64 = 0.01;
+/// Largest kinetic energy in a run that is reported, as a share of internal energy.
+pub const KINETIC_LIMIT: f64 = 0.05;
+
 impl Run {
+    /// Why this run must not be reported, if so: its energy does not close, or it is no longer
+    /// quasi-static.
+    pub fn refusal(&self) -> Option<String> {
+        let (lost, kinetic) = (self.energy_error(), self.kinetic_share());
+        if !(lost <= ENERGY_LIMIT) {
+            return Some(format!(
+                "the run is refused: {:.1} % of the needle's work went missing (limit {:.0} %); \
+                 use a finer mesh or smaller steps",
+                100.0 * lost,
+                100.0 * ENERGY_LIMIT
+            ));
+        }
+        if !(kinetic <= KINETIC_LIMIT) {
+            return Some(format!(
+                "the run is refused: kinetic energy reached {:.1} % of internal energy (limit \
+                 {:.0} %); use smaller steps",
+                100.0 * kinetic,
+                100.0 * KINETIC_LIMIT
+            ));
+        }
+        None
+    }
+
     /// Largest share of energy that went missing, against the work of the needle so far (and at
     /// least a hundredth of all of it).
     pub fn energy_error(&self) -> f64 {
@@ -376,8 +404,10 @@ impl Course {
     }
 }
 
-/// Runs one angle (degrees). The run ends 1 mm of path after the vein's roof is cut through
-/// (or after the way along the vein), or where the tip would touch the far wall. `progress` hears the path's share, 0 to 1.
+/// Runs one angle (degrees). The run ends with the tip on the lumen's axis, or later, once the
+/// vein's roof is cut through (and after the way along the vein, if asked), or where the tip would
+/// touch the far wall. An end that follows from the geometry alone is the same for every mesh: the
+/// drag grows up to it, and is often the peak. `progress` hears the path's share, 0 to 1.
 ///
 /// # Errors
 /// The run can't go on: a brick is crushed or a number is not finite.
@@ -390,7 +420,8 @@ pub fn puncture(
     let start = Instant::now();
     let angle = angle_deg.to_radians();
     let h = numerics.h_mm;
-    let deepest = setup.lumen_roof_mm() + 0.9 * setup.layers.lumen_mm;
+    let axis_mm = setup.lumen_axis_mm();
+    let deepest = setup.lumen_roof_mm() + 0.8 * setup.layers.lumen_mm;
     let path = deepest / angle.sin();
     let shape = Shape::new(
         setup.needle.diameter_mm,
@@ -487,8 +518,8 @@ pub fn puncture(
                 transfixed = true;
                 break;
             }
-            let through = severed.path_mm[Region::Vein.index()].is_some_and(|p| moved > p + 1.0);
-            if through && !course.lowering {
+            let through = severed.path_mm[Region::Vein.index()].is_some();
+            if through && course.moved * angle.sin() >= axis_mm && !course.lowering {
                 if numerics.along_vein_mm <= 0.0 {
                     break;
                 }

@@ -4,11 +4,11 @@ use super::super::events::events;
 use super::super::output::summary;
 use super::super::run::{Numerics, Run, puncture};
 use super::super::tissue::Setup;
+use rayon::prelude::*;
 
 fn coarse() -> Numerics {
     Numerics {
         h_mm: 0.35,
-        advance: 0.002,
         ..Numerics::default()
     }
 }
@@ -25,12 +25,14 @@ fn energy_closes_and_layers_are_pierced_in_order() {
     let setup = Setup::default();
     for angle in [45.0, 75.0] {
         let run = run(&setup, angle, &coarse());
-        assert!(run.energy_error() < 0.01, "{angle}: {}", run.energy_error());
-        assert!(
-            run.kinetic_share() < 0.05,
-            "{angle}: {}",
-            run.kinetic_share()
-        );
+        assert_eq!(run.refusal(), None, "{angle}");
+        // The same limits from the curve itself.
+        let work = run.samples[run.samples.len() - 1].energy.needle;
+        for s in run.samples.iter().filter(|s| s.energy.needle > 0.01 * work) {
+            let e = s.energy;
+            assert!(e.missing().abs() < 0.01 * e.needle, "{angle}: {e:?}");
+            assert!(e.kinetic < 0.05 * e.internal(), "{angle}: {e:?}");
+        }
         assert!(
             run.j_range.0 > 0.9 && run.j_range.1 < 1.1,
             "{:?}",
@@ -56,12 +58,76 @@ fn energy_closes_and_layers_are_pierced_in_order() {
 fn the_flattest_angle_runs_without_a_crushed_brick() {
     let numerics = Numerics {
         h_mm: 0.4,
-        advance: 0.004,
         ..Numerics::default()
     };
     let run = run(&Setup::default(), 15.0, &numerics);
     assert!(run.samples.iter().all(|s| s.force_n.is_finite()));
-    assert!(run.energy_error() < 0.02, "{}", run.energy_error());
+    assert_eq!(run.refusal(), None);
+}
+
+#[test]
+fn a_run_that_is_not_quasi_static_is_refused_with_the_reason() {
+    let hasty = Numerics {
+        h_mm: 0.5,
+        advance: 0.03,
+        ..Numerics::default()
+    };
+    // It may also stop by itself, in words; what it must not do is pass.
+    let reason = match puncture(&Setup::default(), 75.0, &hasty, &|_| {}) {
+        Ok(run) => run.refusal().unwrap_or_default(),
+        Err(e) => e.to_string(),
+    };
+    assert!(
+        reason.contains("refused") || reason.contains("stopped"),
+        "{reason}"
+    );
+}
+
+/// Peaks at 75° (the shortest path) by default, with half the step, and with bricks of 0.8.
+fn refined() -> [f64; 3] {
+    let default = Numerics::default();
+    let runs = [
+        default,
+        Numerics {
+            advance: 0.5 * default.advance,
+            ..default
+        },
+        Numerics {
+            h_mm: 0.8 * default.h_mm,
+            ..default
+        },
+    ];
+    let peaks: Vec<f64> = runs
+        .par_iter()
+        .with_max_len(1)
+        .map(|n| summary(&run(&Setup::default(), 75.0, n)).peak_force_n)
+        .collect();
+    [peaks[0], peaks[1], peaks[2]]
+}
+
+#[test]
+fn the_peak_stands_under_step_and_mesh_refinement() {
+    let [peak, half_step, finer] = refined();
+    assert!((half_step / peak - 1.0).abs() < 0.03, "{peak} {half_step}");
+    // An error that falls at least linearly with the brick and moves by less than 4 % from h to
+    // 0.8 h moves by less than 10 % from h to h/2.
+    assert!((finer / peak - 1.0).abs() < 0.04, "{peak} {finer}");
+}
+
+/// Minutes long, hence not by default; `cannula puncture --convergence` prints the table.
+#[test]
+#[ignore = "takes minutes: cargo test --release halving_the_brick -- --ignored"]
+fn halving_the_brick_moves_the_peak_by_less_than_a_tenth() {
+    let default = Numerics::default();
+    let half = Numerics {
+        h_mm: 0.5 * default.h_mm,
+        ..default
+    };
+    for angle in [30.0, 45.0, 60.0] {
+        let peak = |n| summary(&run(&Setup::default(), angle, n)).peak_force_n;
+        let (peak, finer) = (peak(&default), peak(&half));
+        assert!((finer / peak - 1.0).abs() < 0.1, "{angle}: {peak} {finer}");
+    }
 }
 
 #[test]
@@ -97,14 +163,14 @@ fn going_on_along_the_vein_lowers_the_needle_and_keeps_the_books() {
         along_vein_mm: 1.0,
         ..coarse()
     };
-    match puncture(&Setup::default(), 45.0, &n, &|_| {}) {
-        Ok(run) => {
-            let last = run.samples[run.samples.len() - 1];
-            let through = run.severed.path_mm[2].unwrap_or(f64::NAN);
-            assert!(last.path_mm > through + 1.9, "{} {through}", last.path_mm);
-            assert!(run.energy_error() < 0.015, "{}", run.energy_error());
-        }
-        // A crushed brick is a clear end, not a silent one.
-        Err(e) => assert!(e.to_string().contains("the run stopped at"), "{e}"),
-    }
+    let setup = Setup::default();
+    let run = run(&setup, 45.0, &n);
+    let last = run.samples[run.samples.len() - 1];
+    // To the lumen's axis at least, then 1 mm on; the tip no deeper than where it turned.
+    let to_axis = setup.lumen_axis_mm() / 45.0_f64.to_radians().sin();
+    assert!(last.path_mm > to_axis + 0.99, "{}", last.path_mm);
+    assert!(run.severed.path_mm[2].is_some_and(|through| last.path_mm > through + 0.99));
+    let deepest = run.samples.iter().map(|s| s.depth_mm).fold(0.0, f64::max);
+    assert!((last.depth_mm - deepest).abs() < 1e-9);
+    assert_eq!(run.refusal(), None);
 }
