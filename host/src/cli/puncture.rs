@@ -5,14 +5,16 @@ use super::output::BadArgument;
 use crate::progress::Progress;
 use crate::puncture::Calibration;
 use crate::puncture::decision::{self, Criterion, Reference};
+use crate::puncture::fit;
 use crate::puncture::output::{
     Convergence, PunctureReport, RunSummary, StoppedRun, curve, summary, write,
 };
 use crate::puncture::paper_preset;
 use crate::puncture::run::{Numerics, Run, puncture};
 use crate::puncture::tissue::Setup;
+use anyhow::Context;
 use rayon::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Arguments of the command.
@@ -48,6 +50,10 @@ pub struct Args {
     /// far the peak moves. The second takes about 16 times as long as the run itself.
     #[arg(long)]
     convergence: bool,
+    /// Instead of comparing angles: run the reference at all angles, frictions and toughnesses that
+    /// the fast model is fitted to (minutes), fit it, and write fast_model.json with its residuals.
+    #[arg(long, conflicts_with_all = ["convergence", "paper_layers"])]
+    fit: bool,
     /// Size of a brick where the needle passes, mm.
     #[arg(long, value_name = "MM")]
     mesh: Option<f64>,
@@ -79,6 +85,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         numerics.h_mm = h;
     }
+    if args.fit {
+        return fit_fast_model(&setup, &numerics, &args.out, out);
+    }
     let mut angles = args.angles.clone();
     if let Some(a) = angles.iter().find(|a| !(10.0..=80.0).contains(*a)) {
         return Err(bad(format!("--angles {a}: give angles from 10° to 80°")));
@@ -86,8 +95,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     // The longest path first: the cores finish together.
     angles.sort_by(f64::total_cmp);
     angles.dedup();
-    let jobs: Vec<_> = angles.iter().map(|&a| (a, numerics)).collect();
-    let results = run_all(&setup, &jobs, out);
+    let jobs: Vec<_> = angles.iter().map(|&a| (setup, a, numerics)).collect();
+    let results = run_all(&jobs, out);
     let (mut runs, mut curves, mut energies) = (Vec::new(), Vec::new(), Vec::new());
     let mut stopped = Vec::new();
     for (&angle_deg, result) in angles.iter().zip(results) {
@@ -190,13 +199,13 @@ fn settings(setup: &Setup, numerics: &Numerics) -> Vec<(String, String)> {
 
 /// Runs angles side by side, each on one core.
 /// A run that stopped, or whose energy does not close, is a reason in words.
-fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<Run, String>> {
+fn run_all(jobs: &[(Setup, f64, Numerics)], out: &Output) -> Vec<Result<Run, String>> {
     const PARTS: usize = 50;
     out.start("puncture", PARTS * jobs.len());
     let results = jobs
         .par_iter()
         .with_max_len(1)
-        .map(|(angle, numerics)| {
+        .map(|(setup, angle, numerics)| {
             let told = AtomicUsize::new(0);
             let progress = |share: f64| {
                 let now = (share * PARTS as f64) as usize;
@@ -214,6 +223,49 @@ fn run_all(setup: &Setup, jobs: &[(f64, Numerics)], out: &Output) -> Vec<Result<
         .collect();
     out.finish();
     results
+}
+
+/// Runs what the fast model is fitted to, and fits it.
+fn fit_fast_model(
+    setup: &Setup,
+    numerics: &Numerics,
+    dir: &Path,
+    out: &Output,
+) -> anyhow::Result<()> {
+    let jobs: Vec<_> = fit::CASES
+        .iter()
+        .map(|&(angle, friction, toughness)| {
+            (fit::setup_of(setup, friction, toughness), angle, *numerics)
+        })
+        .collect();
+    let results = run_all(&jobs, out);
+    let mut curves = Vec::new();
+    for (&(angle, friction, toughness), result) in fit::CASES.iter().zip(results) {
+        let case = format!("{angle}°, friction {friction}, toughness × {toughness}");
+        let run = result.map_err(|e| anyhow::anyhow!("{case}: {e}"))?;
+        curves.push(fit::ReferenceCurve::new(&run, friction, toughness));
+    }
+    let mesh_error = Calibration::stored().mesh_error;
+    let fitted = fit::fit(setup, &curves, numerics.h_mm, mesh_error);
+    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
+    let file = dir.join("fast_model.json");
+    std::fs::write(&file, serde_json::to_string_pretty(&fitted)? + "\n")
+        .with_context(|| file.display().to_string())?;
+    out.result(&fitted, || {
+        let mut text = String::from("angle  friction  toughness  reference N  fast N\n");
+        for r in &fitted.residuals {
+            text += &format!(
+                "{:>5}  {:<8}  {:<9}  {:<11.3}  {:.3} ({:+.1} %)\n",
+                r.angle_deg,
+                r.friction,
+                r.toughness,
+                r.peak_reference_n,
+                r.peak_fast_n,
+                100.0 * (r.peak_fast_n / r.peak_reference_n - 1.0)
+            );
+        }
+        text + &format!("RMS of the peaks {:.1} %", 100.0 * fitted.peak_error)
+    })
 }
 
 /// The same angles with smaller steps and smaller bricks.
@@ -235,9 +287,9 @@ fn refine(
                 ..*numerics
             },
         ];
-        jobs.extend(finer.map(|n| (r.angle_deg, n)));
+        jobs.extend(finer.map(|n| (*setup, r.angle_deg, n)));
     }
-    let results = run_all(setup, &jobs, out);
+    let results = run_all(&jobs, out);
     runs.iter()
         .zip(results.chunks(2))
         .map(|(r, pair)| {

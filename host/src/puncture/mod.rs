@@ -18,6 +18,7 @@ pub mod element;
 pub mod events;
 pub mod explicit;
 pub mod fast;
+pub mod fit;
 pub mod lane;
 pub mod material;
 pub mod mesh;
