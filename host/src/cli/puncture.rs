@@ -2,6 +2,7 @@
 
 use super::Output;
 use super::output::BadArgument;
+use crate::output::write_whole;
 use crate::progress::Progress;
 use crate::puncture::Calibration;
 use crate::puncture::decision::{self, Criterion, Reference};
@@ -12,7 +13,6 @@ use crate::puncture::output::{
 use crate::puncture::paper_preset;
 use crate::puncture::run::{Numerics, Run, puncture};
 use crate::puncture::tissue::Setup;
-use anyhow::Context;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -247,10 +247,10 @@ fn fit_fast_model(
     }
     let mesh_error = Calibration::stored().mesh_error;
     let fitted = fit::fit(setup, &curves, numerics.h_mm, mesh_error);
-    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let file = dir.join("fast_model.json");
-    std::fs::write(&file, serde_json::to_string_pretty(&fitted)? + "\n")
-        .with_context(|| file.display().to_string())?;
+    let json = serde_json::to_string_pretty(&fitted)? + "\n";
+    write_whole(&dir.join("fast_model.json"), |f| {
+        f.write_all(json.as_bytes())
+    })?;
     out.result(&fitted, || {
         let mut text = String::from("angle  friction  toughness  reference N  fast N\n");
         for r in &fitted.residuals {

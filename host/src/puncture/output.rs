@@ -4,6 +4,7 @@ use super::decision::Decision;
 use super::events::{Event, events, smooth};
 use super::paper_preset::Comparison;
 use super::run::{Energy, Run};
+use crate::output::write_whole;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -223,13 +224,11 @@ pub fn curve(run: &Run) -> Vec<CurvePoint> {
         .collect()
 }
 
-/// Writes puncture.json and the curves.
+/// Writes puncture.json and the curves, each whole or not at all.
 ///
 /// # Errors
 /// A file can't be written.
 pub fn write(report: &PunctureReport, dir: &Path) -> anyhow::Result<()> {
-    use anyhow::Context;
-    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
     for (run, curve) in report.runs.iter().zip(&report.curves) {
         let mut text = String::from("time_s,depth_mm,force_n,skin_n,fat_n,vein_n\n");
         for p in curve {
@@ -239,10 +238,9 @@ pub fn write(report: &PunctureReport, dir: &Path) -> anyhow::Result<()> {
                 p.time_s, p.depth_mm, p.force_n, p.skin_n, p.fat_n, p.vein_n
             )?;
         }
-        let file = dir.join(&run.curve);
-        std::fs::write(&file, text).with_context(|| file.display().to_string())?;
+        write_whole(&dir.join(&run.curve), |f| f.write_all(text.as_bytes()))?;
     }
-    let file = dir.join("puncture.json");
-    let json = serde_json::to_string_pretty(report)?;
-    std::fs::write(&file, json + "\n").with_context(|| file.display().to_string())
+    let json = serde_json::to_string_pretty(report)? + "\n";
+    write_whole(&dir.join("puncture.json"), |f| f.write_all(json.as_bytes()))?;
+    Ok(())
 }

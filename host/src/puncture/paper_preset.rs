@@ -33,7 +33,7 @@ pub fn setup() -> Setup {
 }
 
 /// Brick for these layers, mm.
-pub const MESH_MM: f64 = 0.125;
+pub const MESH_MM: f64 = 0.1;
 
 /// An event beside the paper's.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -82,10 +82,12 @@ pub fn compare(runs: &[RunSummary]) -> Comparison {
             ] {
                 match mine {
                     Some(t) if theirs > 0.0 && (t / theirs - 1.0).abs() > 0.25 => {
+                        let mm = (t - theirs) * 5.0;
+                        let more = if mm > 0.0 { "more" } else { "less" };
                         out.differences.push(format!(
                             "{layer} {what} at {t:.2} s, the paper's at {theirs:.2} s: our tissue \
-                             gives way by {:+.2} mm more under the needle",
-                            (t - theirs) * 5.0
+                             gives way by {:.2} mm {more} under the needle",
+                            mm.abs()
                         ));
                     }
                     Some(_) => {}

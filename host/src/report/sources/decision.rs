@@ -63,7 +63,7 @@ pub fn punctured(r: &PunctureReport, setup: &Setup) -> Puncture {
     section.sentences.extend(
         r.stopped
             .iter()
-            .map(|s| format!("{}°: the run stopped: {}.", s.angle_deg, s.reason)),
+            .map(|s| format!("{}°: {}.", s.angle_deg, s.reason)),
     );
     section
 }
