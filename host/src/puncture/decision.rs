@@ -91,6 +91,8 @@ pub struct Variation {
     pub angle_deg: f64,
     /// Largest less smallest peak force, N.
     pub spread_n: f64,
+    /// False if that is less than the model's own error.
+    pub preference: bool,
 }
 
 /// The answer.
@@ -193,10 +195,13 @@ fn variation(setup: &Setup, fast: &Calibration, angles: &[f64], case: &'static s
             most = i;
         }
     }
+    let spread_n = forces[most] - forces[best];
+    let error = fast.peak_error.hypot(fast.mesh_error);
     Variation {
         case,
         angle_deg: angles[best],
-        spread_n: forces[most] - forces[best],
+        spread_n,
+        preference: spread_n > error * forces[most].hypot(forces[best]),
     }
 }
 
@@ -456,6 +461,18 @@ mod tests {
                 .iter()
                 .all(|r| r.sensitivity.toughness_half < r.sensitivity.toughness_double)
         );
-        assert!(d.variations.iter().any(|v| v.case == "friction 0"));
+        // The trend is friction × path: without friction the angles differ little.
+        let spread = |case: &str| {
+            let v = d.variations.iter().find(|v| v.case == case);
+            v.map(|v| v.spread_n).expect("the case")
+        };
+        assert!(spread("friction 0") < 0.2 * spread("friction 0.7"));
+        let alike = variation(
+            &Setup::default(),
+            Calibration::stored(),
+            &[45.0, 45.5],
+            "nearly the same angle",
+        );
+        assert!(!alike.preference && d.variations.iter().any(|v| v.preference));
     }
 }
