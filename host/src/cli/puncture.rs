@@ -85,6 +85,14 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         numerics.h_mm = h;
     }
+    let usual = Calibration::stored().mesh_mm;
+    if numerics.h_mm > 1.01 * usual {
+        out.warn(&format!(
+            "bricks of {} mm are coarser than the {usual} mm for which the error of the forces was \
+             found: it may be several times larger",
+            numerics.h_mm
+        ));
+    }
     if args.fit {
         return fit_fast_model(&setup, &numerics, &args.out, out);
     }
