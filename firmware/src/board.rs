@@ -15,7 +15,7 @@ use crate::link::Link;
 use crate::motion::Motion;
 use crate::pins::Pins;
 use crate::safety::{LaserWish, fault_of, laser_permitted};
-use crate::scan::Scan;
+use crate::scan::{Light, Scan};
 use crate::scan_plan::ScanCheck;
 use cannula_shared::config::Config;
 use cannula_shared::error::{Doing, Fault};
@@ -73,7 +73,6 @@ pub struct Board<O, I> {
     /// Triggers fired by hand: asked for, and seen.
     pub(crate) by_hand: (u32, u32),
     pub(crate) laser_by_hand: Option<Micros>,
-    pub(crate) laser_on: bool,
     pub(crate) driver: bool,
     pub(crate) inputs: Inputs,
     pub(crate) reboot: Option<Reboot>,
@@ -99,7 +98,6 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
             triggers: 0,
             by_hand: (0, 0),
             laser_by_hand: None,
-            laser_on: false,
             driver: false,
             inputs: Inputs::NONE,
             reboot: None,
@@ -225,21 +223,20 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
             .is_some_and(|c| self.link.silence(now) <= Micros(c.heartbeat_us.into()))
     }
 
-    /// Renews the laser's lease, or ends it.
+    /// Renews the laser's lease, leaves it to its light words, or switches it off.
     fn set_laser<E: Engine>(&mut self, now: Micros, engine: &mut E, wake: &mut Micros) {
         let lease = Micros(self.config.map_or(0, |c| c.laser_lease_us).into());
-        let started = self.motion.started();
-        let (wish, wanted) = match (&mut self.job, self.laser_by_hand) {
-            (Job::Scan(scan), _) => (LaserWish::Scan, scan.laser(now, started, lease)),
+        let (wish, light) = match (&self.job, self.laser_by_hand) {
+            (Job::Scan(scan), _) => (LaserWish::Scan, scan.laser(lease)),
             (Job::None, Some(until)) if now < until => {
-                (LaserWish::Hand, until.since(now).min(lease))
+                (LaserWish::Hand, Light::Lease(until.since(now).min(lease)))
             }
             (Job::None, Some(_)) => {
                 self.laser_by_hand = None;
                 let _ = self.link.event(Event::LaserExpired);
-                (LaserWish::Off, Micros(0))
+                (LaserWish::Off, Light::Off)
             }
-            _ => (LaserWish::Off, Micros(0)),
+            _ => (LaserWish::Off, Light::Off),
         };
         let permitted = laser_permitted(
             self.state,
@@ -248,17 +245,17 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
             self.motion.moving(),
             wish,
         );
-        let on = permitted && wanted.0 > 0;
-        // Off is said again each time: it costs nothing, and nothing can have missed it.
-        engine.laser(if on { wanted } else { Micros(0) });
-        self.laser_on = on;
-        if on {
-            *wake = (*wake).min(now.after(Micros((wanted.0 / 2).max(200))));
-        }
-        if let Job::Scan(scan) = &self.job
-            && let Some(change) = scan.laser_changes_at(now, started)
-        {
-            *wake = (*wake).min(change.max(now.after(Micros(20))));
+        match light {
+            Light::Lease(on_for) if permitted => {
+                engine.laser(on_for);
+                *wake = (*wake).min(now.after(Micros((on_for.0 / 2).max(200))));
+            }
+            Light::Planned if permitted => {}
+            // Off is said again each time: it costs little, and nothing can have missed it.
+            _ => {
+                self.motion.darken();
+                engine.laser(Micros(0));
+            }
         }
     }
 

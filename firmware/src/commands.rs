@@ -310,7 +310,7 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
             position_known: self.motion.known(),
             moving: self.motion.moving(),
             driver: self.driver,
-            laser: self.laser_on,
+            laser: engine.lit(),
             inputs: self.inputs,
             job: if matches!(self.job, Job::None) {
                 0

@@ -3,7 +3,7 @@
 //! On the RP2040 these are PIO machines, DMA rings and interrupts; in the simulation a model of
 //! them. Timing that matters is inside: the logic feeds words ahead and reads counts afterwards.
 
-use crate::words::{CompareWord, StepWord};
+use crate::words::{CompareWord, LightWord, StepWord};
 use cannula_shared::message::Inputs;
 use cannula_shared::units::{Cycles, Micros};
 
@@ -24,6 +24,8 @@ pub struct MoveSetup {
     pub halt_on: HaltOn,
     /// Width of the trigger pulses.
     pub pulse: Cycles,
+    /// The laser follows light words, from the first STEP edge on, until [`Engine::laser`] is called.
+    pub lights: bool,
 }
 
 /// A trigger that has fired.
@@ -59,6 +61,11 @@ pub trait Engine {
     fn compare_room(&mut self) -> usize;
     /// Adds a compare word; only called when there is room.
     fn push_compare(&mut self, word: CompareWord);
+    /// How many light words can be pushed now.
+    fn light_room(&mut self) -> usize;
+    /// Adds a light word; only called when there is room. Has no effect once the laser has been
+    /// switched off by [`Engine::laser`], an interrupt or a fault.
+    fn push_light(&mut self, word: LightWord);
     /// Step and compare machine start on what has been pushed. Returns now, from which the
     /// planned times count (a constant handful of cycles beside the truth).
     fn start(&mut self) -> Micros;
@@ -82,8 +89,11 @@ pub trait Engine {
     fn next_trigger(&mut self) -> Option<TriggerEdge>;
     /// The next change of the exposure-active signal, oldest first.
     fn next_exposure(&mut self) -> Option<ExposureEdge>;
-    /// The laser stays on for this long from now, whatever was left before; zero = off now.
+    /// The laser stays on for this long from now, whatever was left before; zero = off now. Light
+    /// words are forgotten.
     fn laser(&mut self, on_for: Micros);
+    /// The level of the laser's pad.
+    fn lit(&mut self) -> bool;
     /// Inputs seen active since the last call, however short (E-stop, interlock, and both switches).
     fn latched(&mut self) -> Inputs;
 }

@@ -27,7 +27,8 @@ pub struct Exposures {
 }
 
 impl Exposures {
-    /// A fresh count. Without the input (`counted` false), every exposure is taken to last `length` from its trigger.
+    /// A fresh count. Without the input (`counted` false), every exposure is taken to begin as late as
+    /// it may: it ends `delay` and `length` after its trigger.
     pub fn new(counted: bool, delay: Micros, length: Micros) -> Self {
         Exposures {
             counted,
@@ -41,6 +42,7 @@ impl Exposures {
     pub fn trigger(&mut self, index: u32, time: Micros) {
         self.end = time.after(self.length);
         if !self.counted {
+            self.end = self.end.after(self.delay);
             return;
         }
         if self
@@ -156,8 +158,8 @@ mod tests {
         let mut e = Exposures::new(false, Micros(2000), Micros(5000));
         e.trigger(0, Micros(10_000));
         e.edge(edge(11_000, true));
-        assert!(!e.settled(Micros(14_999)));
-        assert!(e.settled(Micros(15_000)));
+        assert!(!e.settled(Micros(16_999)));
+        assert!(e.settled(Micros(17_000)));
         assert_eq!(
             (e.seen(), e.missing(), e.overdue(Micros(90_000))),
             (0, 0, None)

@@ -4,7 +4,7 @@ use crate::board::{Board, Job, Stop};
 use crate::commands::{fastest, pulse};
 use crate::engine::Engine;
 use crate::homing;
-use crate::motion::Ended;
+use crate::motion::{Ended, OnTheFly};
 use crate::scan::{self, Scan};
 use cannula_shared::config::MissingExposure;
 use cannula_shared::error::{Doing, Fault};
@@ -164,11 +164,19 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
                     } else {
                         scan.plan().interval
                     };
+                    // Dark before it moves: preparing a move takes a while.
+                    if scan.laser(Micros(config.laser_lease_us.into())) == scan::Light::Off {
+                        engine.laser(Micros(0));
+                    }
                     self.start_move(engine, &config, target, interval);
                     *wake = now;
                 }
                 scan::Next::Pass(profile) => {
-                    let triggers = Some((scan.plan().triggers, Scan::places(&config)));
+                    let on_the_fly = OnTheFly {
+                        plan: scan.plan().triggers,
+                        places: Scan::places(&config),
+                        lights: scan.lights(&config, profile),
+                    };
                     self.pins.direct(!config.invert_direction);
                     self.motion.start(
                         engine,
@@ -176,7 +184,7 @@ impl<O: OutputPin, I: InputPin> Board<O, I> {
                         profile,
                         true,
                         pulse(&config),
-                        triggers,
+                        Some(on_the_fly),
                     );
                     *wake = now;
                 }

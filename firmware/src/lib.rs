@@ -25,6 +25,18 @@
 //! | [`board`] | all of it: what the binary and the simulation drive |
 #![no_std]
 #![forbid(unsafe_code)]
+// No panics on the board: what can fail says so.
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::unreachable,
+        clippy::todo,
+        clippy::indexing_slicing
+    )
+)]
 
 pub mod board;
 pub mod checkin;

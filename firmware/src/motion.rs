@@ -5,6 +5,7 @@
 //! step): if the CPU dies, the step machine starves within that time.
 
 use crate::engine::{Engine, HaltOn, MoveSetup};
+use crate::laser::Lights;
 use crate::ledger::Ledger;
 use crate::profile::Profile;
 use crate::segment::Segments;
@@ -18,7 +19,7 @@ pub const LOOK_AHEAD: Micros = Micros(20_000);
 const LOOK_AHEAD_CYCLES: u32 = 20_000 * 125;
 const _: () = assert!(LOOK_AHEAD_CYCLES as u64 == LOOK_AHEAD.to_cycles().0);
 /// The most step words in one call.
-const SLICE: usize = 64;
+const SLICE: usize = 512;
 /// A move that is this much later than planned will not end.
 const OVERDUE: Micros = Micros(1_000_000);
 
@@ -39,8 +40,21 @@ pub struct Motion {
     position: Steps,
     known: bool,
     run: Option<Run>,
+    /// The light that the move brings along, and when the move started.
+    lights: Option<(Lights, Micros)>,
     /// Of the last move: how many steps, and whether away from home.
     last: (u32, bool),
+}
+
+/// What a pass has besides its steps.
+#[derive(Clone, Copy, Debug)]
+pub struct OnTheFly {
+    /// The triggers.
+    pub plan: TriggerPlan,
+    /// Places in the ledger that each takes.
+    pub places: usize,
+    /// The light, where it is timed.
+    pub lights: Option<Lights>,
 }
 
 /// A move under way.
@@ -96,9 +110,9 @@ impl Motion {
         self.run.is_some()
     }
 
-    /// When the move under way started.
-    pub fn started(&self) -> Option<Micros> {
-        self.run.as_ref().map(|run| run.started)
+    /// No further light words; those that the engine has are for [`Engine::laser`] to forget.
+    pub fn darken(&mut self) {
+        self.lights = None;
     }
 
     /// Triggers armed so far in this move.
@@ -122,8 +136,8 @@ impl Motion {
         Some((profile.interval(done), Micros(left)))
     }
 
-    /// Starts a move away from home (or towards it), with triggers on the way if given: the plan
-    /// and the places that each takes in the ledger. The direction already stands on its pin.
+    /// Starts a move away from home (or towards it), with triggers on the way if given.
+    /// The direction already stands on its pin.
     pub fn start<E: Engine>(
         &mut self,
         engine: &mut E,
@@ -131,16 +145,17 @@ impl Motion {
         profile: Profile,
         away: bool,
         pulse: Cycles,
-        triggers: Option<(TriggerPlan, usize)>,
+        on_the_fly: Option<OnTheFly>,
     ) {
         engine.prepare(MoveSetup {
             halt_on: if away { HaltOn::Limit } else { HaltOn::Home },
             pulse,
+            lights: on_the_fly.is_some_and(|o| o.lights.is_some()),
         });
         let begin = self.position;
-        let pass = triggers.map(|(plan, places)| Pass {
-            gaps: Gaps::new(plan, begin),
-            places,
+        let pass = on_the_fly.map(|o| Pass {
+            gaps: Gaps::new(o.plan, begin),
+            places: o.places,
         });
         let mut run = Run {
             segments: Segments::new(profile),
@@ -154,13 +169,19 @@ impl Motion {
         };
         run.arm(engine, ledger);
         run.feed(engine, LOOK_AHEAD.to_cycles());
+        let mut lights = on_the_fly.and_then(|o| o.lights);
+        if let Some(lights) = &mut lights {
+            light(engine, lights, LOOK_AHEAD.to_cycles());
+        }
         run.started = engine.start();
+        self.lights = lights.map(|lights| (lights, run.started));
         self.run = Some(run);
     }
 
     /// Slows down and ends; no more triggers.
     pub fn stop<E: Engine>(&mut self, engine: &mut E) {
         engine.cancel_triggers();
+        self.darken();
         if let Some(run) = &mut self.run {
             run.pass = None;
             run.slow_down();
@@ -170,6 +191,7 @@ impl Motion {
     /// Ends at once. Where the slide stands is known to the step; whether it followed is not.
     pub fn abort<E: Engine>(&mut self, engine: &mut E) {
         engine.cancel_triggers();
+        self.darken();
         engine.abort();
         self.close(engine);
     }
@@ -201,12 +223,13 @@ impl Motion {
         ledger: &mut Ledger,
         full: &mut bool,
     ) -> Option<Ended> {
+        let in_time = self.feed_lights(now, engine);
         let run = self.run.as_mut()?;
         if engine.halted() {
             self.close(engine);
             return Some(Ended::Halted);
         }
-        if engine.underrun() {
+        if engine.underrun() || !in_time {
             let step = engine.steps_done();
             self.abort(engine);
             return Some(Ended::Failed(Fault::Underrun { step }));
@@ -241,13 +264,28 @@ impl Motion {
         None
     }
 
+    /// Feeds the laser's machine ahead of time; false if it has run dry before its words ended, so
+    /// that the light would come late.
+    fn feed_lights<E: Engine>(&mut self, now: Micros, engine: &mut E) -> bool {
+        let Some((lights, started)) = &mut self.lights else {
+            return true;
+        };
+        let elapsed = now.since(*started);
+        let in_time = lights.ended() || elapsed.to_cycles() < lights.time();
+        light(engine, lights, elapsed.after(LOOK_AHEAD).to_cycles());
+        in_time
+    }
+
     /// When [`Self::poll`] must be called again at the latest.
     pub fn wake<E: Engine>(&self, now: Micros, engine: &mut E) -> Option<Micros> {
-        let run = self.run.as_ref()?;
+        let soon = now.after(Micros(1000));
+        let Some(run) = self.run.as_ref() else {
+            // The last exposure's light outlasts the move.
+            return self.lights.is_some_and(|(l, _)| !l.ended()).then_some(soon);
+        };
         let fed_until = run.started.after(run.segments.time().to_micros_down());
         // Half the look-ahead is left then; at once if the last slice was not enough.
         let due = Micros(fed_until.0.saturating_sub(LOOK_AHEAD.0 / 2));
-        let soon = now.after(Micros(1000));
         Some(if run.fed {
             soon
         } else if engine.step_room() == 0 {
@@ -255,6 +293,16 @@ impl Motion {
         } else {
             due.clamp(now, soon)
         })
+    }
+}
+
+/// Pushes light words that begin before `until` (cycles since the start), a slice at most.
+fn light<E: Engine>(engine: &mut E, lights: &mut Lights, until: Cycles) {
+    let mut room = engine.light_room().min(SLICE);
+    while room > 0 && lights.time() < until {
+        let Some(word) = lights.next() else { return };
+        engine.push_light(word);
+        room -= 1;
     }
 }
 

@@ -20,6 +20,8 @@ pub struct Profile {
     steps: u32,
     ramp_steps: u32,
     cruise: u32,
+    /// The interval that was asked for, below which none may be.
+    shortest: u32,
 }
 
 /// The cruise interval of a speed in steps/s: rounded up, so that the speed is not exceeded.
@@ -47,6 +49,7 @@ impl Profile {
             steps,
             ramp_steps,
             cruise,
+            shortest: interval,
         }
     }
 
@@ -68,6 +71,11 @@ impl Profile {
     /// Cycles from step to step between the ramps.
     pub const fn cruise_interval(&self) -> u32 {
         self.cruise
+    }
+
+    /// The interval that was asked for. No step is faster, and none has to be as fast.
+    pub const fn shortest_interval(&self) -> u32 {
+        self.shortest
     }
 
     /// When edge `k` comes after the start (0 for k = 0).

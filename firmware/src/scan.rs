@@ -7,7 +7,7 @@
 
 use crate::engine::TriggerEdge;
 use crate::exposure::Exposures;
-use crate::laser::{GUARD, Windows};
+use crate::laser::Lights;
 use crate::profile::Profile;
 use crate::scan_plan::ScanPlan;
 use cannula_shared::config::{Config, ExposureInput};
@@ -43,8 +43,18 @@ pub struct Scan {
     fired: u32,
     exposures: Exposures,
     sum: LedgerSum,
-    windows: Option<Windows>,
     last_fired: Option<Micros>,
+}
+
+/// What is wanted of the laser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Light {
+    /// Off.
+    Off,
+    /// On for so long from now.
+    Lease(Micros),
+    /// As the light words say that were computed ahead.
+    Planned,
 }
 
 /// What the scan wants next.
@@ -74,19 +84,6 @@ impl Scan {
             Micros(config.exposure_delay_us.into()),
             Micros(config.exposure_us.into()),
         );
-        let windows = match (plan.pass, plan.request.laser) {
-            (Some(profile), ScanLaser::Timed) => {
-                let lead = Micros(config.laser_lead_us.into());
-                // With the input, the exposure's end closes the window earlier.
-                let tail = if counted {
-                    delay.after(length)
-                } else {
-                    length.after(GUARD)
-                };
-                Some(Windows::new(plan.triggers, profile, plan.begin, lead, tail))
-            }
-            _ => None,
-        };
         Scan {
             plan,
             job,
@@ -94,9 +91,19 @@ impl Scan {
             fired: 0,
             exposures: Exposures::new(counted, delay, length),
             sum: LedgerSum::default(),
-            windows,
             last_fired: None,
         }
+    }
+
+    /// The light of a pass, where the laser is timed: until the latest end of each exposure.
+    pub fn lights(&self, config: &Config, pass: Profile) -> Option<Lights> {
+        let plan = &self.plan;
+        (plan.request.laser == ScanLaser::Timed).then(|| {
+            let lead = Micros(config.laser_lead_us.into());
+            let tail =
+                Micros(config.exposure_delay_us.into()).after(Micros(config.exposure_us.into()));
+            Lights::new(plan.triggers, pass, plan.begin, lead, tail)
+        })
     }
 
     /// The job's number.
@@ -295,49 +302,22 @@ impl Scan {
         })
     }
 
-    /// For how long from now the laser is wanted on (zero = off); `started` is when the pass began.
-    pub fn laser(&mut self, now: Micros, started: Option<Micros>, lease: Micros) -> Micros {
+    /// What the scan wants of the laser now.
+    pub fn laser(&self, lease: Micros) -> Light {
         let at_trigger = matches!(self.phase, Phase::Lead(_) | Phase::Exposing { .. });
+        let passing = matches!(self.phase, Phase::Passing | Phase::LastExposure { .. });
         let wanted = match (self.plan.request.laser, self.plan.pass) {
             (ScanLaser::Off, _) => false,
-            (ScanLaser::Whole, Some(_)) => {
-                matches!(
-                    self.phase,
-                    Phase::LeadIn(_) | Phase::Passing | Phase::LastExposure { .. }
-                )
-            }
+            (ScanLaser::Timed, Some(_)) if passing => return Light::Planned,
+            (ScanLaser::Timed, Some(_)) => false,
+            (ScanLaser::Whole, Some(_)) => passing || matches!(self.phase, Phase::LeadIn(_)),
             (ScanLaser::Whole, None) => at_trigger || self.fired > 0,
             (ScanLaser::Timed, None) => at_trigger,
-            (ScanLaser::Timed, Some(_)) => return self.window(now, started, lease),
         };
-        if wanted { lease } else { Micros(0) }
-    }
-
-    fn window(&mut self, now: Micros, started: Option<Micros>, lease: Micros) -> Micros {
-        if self.exposures.active()
-            && matches!(self.phase, Phase::Passing | Phase::LastExposure { .. })
-        {
-            return lease;
+        if wanted {
+            Light::Lease(lease)
+        } else {
+            Light::Off
         }
-        let (Some(windows), Some(started)) = (&mut self.windows, started) else {
-            return Micros(0);
-        };
-        if !matches!(self.phase, Phase::Passing) {
-            // After the pass only a last exposure, whose end is known by now.
-            return self.exposures.settles_at().since(now).min(lease);
-        }
-        if windows.index() < self.fired && self.exposures.settled(now) {
-            windows.close_current();
-        }
-        let since = now.since(started);
-        windows
-            .wanted(since)
-            .map_or(Micros(0), |until| until.since(since).min(lease))
-    }
-
-    /// When the laser's answer changes next.
-    pub fn laser_changes_at(&self, now: Micros, started: Option<Micros>) -> Option<Micros> {
-        let change = self.windows.as_ref()?.changes_at(now.since(started?))?;
-        matches!(self.phase, Phase::Passing).then(|| started.unwrap_or_default().after(change))
     }
 }

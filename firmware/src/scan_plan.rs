@@ -1,6 +1,6 @@
 //! From a scan request to what will be executed, and the check of it before anything moves.
 
-use crate::laser::GUARD;
+use crate::laser::EARLIEST;
 use crate::profile::{Profile, interval_of};
 use crate::ramp::Ramp;
 use crate::verify::{Check, Checked};
@@ -99,21 +99,24 @@ impl ScanPlan {
         let lowest = lowest(config);
         let run_up =
             i64::try_from(config.steps_per_mm.steps_up(config.run_up_um)).unwrap_or(i64::MAX);
-        let lead = if request.laser == ScanLaser::Timed {
-            Micros(u64::from(config.laser_lead_us)).after(GUARD)
+        // The light's clock starts with the first STEP edge.
+        let lead = if request.laser == ScanLaser::Timed && config.laser_lead_us > 0 {
+            Micros(u64::from(config.laser_lead_us)).to_cycles().0
         } else {
-            Micros(0)
+            0
         };
+        let dark = u64::from(ramp.time(1)) + EARLIEST.0;
         let (begin, end) = match request.mode {
             ScanMode::StopAndShoot => return Ok(plan),
             ScanMode::Constant => {
                 // The length of the ramp, one step of cruise, and more if the laser's lead asks for it.
                 let probe = Profile::new(ramp, u32::MAX / 2, interval);
                 let r = i64::from(probe.ramp_steps()) + 1;
-                let short = lead
-                    .to_cycles()
-                    .0
-                    .saturating_sub(probe.time(probe.ramp_steps()).0);
+                let short = if lead > 0 {
+                    (lead + dark).saturating_sub(probe.time(probe.ramp_steps()).0)
+                } else {
+                    0
+                };
                 let r_lead =
                     r + i64::try_from(short.div_ceil(u64::from(interval))).unwrap_or(i64::MAX / 4);
                 (first - run_up.max(r_lead), last + r)
@@ -138,11 +141,12 @@ impl ScanPlan {
             });
         }
         let pass = Profile::new(ramp, way(begin, end), interval);
-        let available = pass.time(way(begin, first)).to_micros_down();
-        if lead.0 > 0 && available < lead {
+        let available = pass.time(way(begin, first)).0.saturating_sub(dark);
+        if lead > available {
             return Err(Refusal::LeadTooLong {
                 lead_us: config.laser_lead_us,
-                available_us: u32::try_from(available.since(GUARD).0).unwrap_or(u32::MAX),
+                available_us: u32::try_from(Cycles(available).to_micros_down().0)
+                    .unwrap_or(u32::MAX),
             });
         }
         Ok(ScanPlan {
@@ -415,12 +419,12 @@ mod tests {
             laser_lead_us: 80_000,
             ..c
         };
-        // 0.5 mm of run-up at 200 mm/s² take 70.7 ms.
+        // 0.5 mm of run-up at 200 mm/s² take 70.711 ms, the first of its 400 steps 3.536 ms.
         assert!(matches!(
             judge(&c, request(ScanMode::Ramped)).map(|_| ()),
             Err(Refusal::LeadTooLong {
                 lead_us: 80_000,
-                available_us: 68_700..=68_711
+                available_us: 67_174
             })
         ));
         // At constant speed, the run-up grows instead.
@@ -431,8 +435,8 @@ mod tests {
         let (plan, _) = judge(&c, r).unwrap();
         assert!(
             plan.pass
-                .is_some_and(|p| p.time(8000 - plan.begin.0 as u32).to_micros_down()
-                    >= Micros(180_000).after(GUARD))
+                .is_some_and(|p| (p.time(8000 - plan.begin.0 as u32).0 - p.time(1).0)
+                    > Micros(180_000).to_cycles().0)
         );
     }
 }

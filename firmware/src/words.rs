@@ -1,4 +1,4 @@
-//! What the hardware is fed with: step words and compare words.
+//! What the hardware is fed with: step words, compare words and light words.
 //!
 //! A step word is one run of equally spaced STEP edges:
 //!
@@ -9,7 +9,16 @@
 //!
 //! Each edge comes exactly `interval` cycles after the one before it, across words too; the first
 //! edge of a move comes `interval` after the start. A compare word is the number of STEP edges
-//! from one trigger to the next, less one.
+//! from one trigger to the next, less one. A light word is a stretch of light or of darkness:
+//!
+//! ```text
+//! bit   0        1 = lit
+//! bits  1..=6    cycles − 75, modulo 64
+//! bits  7..=19   cycles − 75, in 64ths       75 to 524 362 cycles
+//! ```
+//!
+//! The stretches follow each other without a gap. The first begins [`LIGHT_DELAY`] after the move's
+//! first STEP edge; where no word follows, the machine is dark. No word can light longer than 4.2 ms.
 
 use cannula_shared::config::{MAX_STEP_INTERVAL, MIN_STEP_INTERVAL};
 use cannula_shared::units::Cycles;
@@ -97,6 +106,50 @@ impl CompareWord {
     }
 }
 
+/// The fewest cycles of a light word: the program's own length.
+pub const MIN_LIGHT_CYCLES: u32 = 75;
+/// The most cycles of a light word.
+pub const MAX_LIGHT_CYCLES: u32 =
+    MIN_LIGHT_CYCLES + (1 << (LIGHT_FINE_BITS + LIGHT_COARSE_BITS)) - 1;
+/// Cycles from the move's first STEP edge to the beginning of the first light word, pad to pad.
+pub const LIGHT_DELAY: u32 = 9;
+const LIGHT_FINE_BITS: u32 = 6;
+const LIGHT_COARSE_BITS: u32 = 13;
+
+/// A stretch of light or of darkness, as the laser's machine takes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct LightWord(u32);
+
+impl LightWord {
+    /// `cycles` of light or of darkness; `None` if a word cannot say so.
+    pub const fn new(lit: bool, cycles: u32) -> Option<Self> {
+        if cycles < MIN_LIGHT_CYCLES || cycles > MAX_LIGHT_CYCLES {
+            return None;
+        }
+        Some(LightWord((cycles - MIN_LIGHT_CYCLES) << 1 | lit as u32))
+    }
+
+    /// From the bits that the machine takes; it ignores those above the 20th.
+    pub const fn from_raw(raw: u32) -> Self {
+        LightWord(raw & ((1 << (1 + LIGHT_FINE_BITS + LIGHT_COARSE_BITS)) - 1))
+    }
+
+    /// The bits that the machine takes.
+    pub const fn raw(self) -> u32 {
+        self.0
+    }
+
+    /// Whether the laser is on.
+    pub const fn lit(self) -> bool {
+        self.0 & 1 != 0
+    }
+
+    /// For how long.
+    pub const fn cycles(self) -> u32 {
+        (self.0 >> 1) + MIN_LIGHT_CYCLES
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -114,6 +167,17 @@ mod tests {
             Some(u32::MAX)
         );
         assert_eq!(CompareWord::new(0), None);
+        assert_eq!(LightWord::new(true, 74), None);
+        assert_eq!(LightWord::new(true, 75 + (1 << 19)), None);
+        assert_eq!(
+            LightWord::new(true, 75 + 2 + 3 * 64).map(LightWord::raw),
+            Some(1 | 2 << 1 | 3 << 7)
+        );
+        assert_eq!(
+            LightWord::new(true, MAX_LIGHT_CYCLES).map(LightWord::raw),
+            Some((1 << 20) - 1)
+        );
+        assert_eq!(LightWord::from_raw(u32::MAX).cycles(), MAX_LIGHT_CYCLES);
     }
 
     proptest! {

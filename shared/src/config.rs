@@ -12,6 +12,11 @@ pub const MIN_STEP_INTERVAL: u32 = 39;
 pub const MAX_STEP_INTERVAL: u32 = MIN_STEP_INTERVAL + (1 << 21) - 1;
 /// The highest step rate that the board promises to hold, steps/s.
 pub const MAX_STEP_RATE: u32 = 500_000;
+/// Steps/s of a ramp for which the board's CPU makes the words without falling behind: on a ramp each
+/// step is a word of its own. (Cruising takes next to none.)
+pub const FEED_RATE: u32 = 410_000;
+/// Step words that are made ahead, from which a ramp above [`FEED_RATE`] is fed while it lasts.
+pub const FEED_RESERVE: u32 = 4_096;
 /// The lowest step rate that a step word can say, steps/s.
 pub const MIN_STEP_RATE: u32 = CLOCK_HZ.div_ceil(MAX_STEP_INTERVAL);
 /// The lowest acceleration whose first step a step word can say, steps/s²: t(1) = f·√(2/a).
@@ -231,6 +236,13 @@ impl Default for Config {
     }
 }
 
+/// The highest rate to which a ramp of `acceleration` steps/s² can be fed. Above [`FEED_RATE`] R it eats
+/// into the reserve B for as long as it lasts: (v − R)² / 2a words up to rate v, so v ≤ R + √(2aB).
+pub fn max_rate(acceleration: u32) -> u32 {
+    let above = (2 * u64::from(acceleration) * u64::from(FEED_RESERVE)).isqrt();
+    MAX_STEP_RATE.min(FEED_RATE.saturating_add(saturate(above)))
+}
+
 fn saturate(value: u64) -> u32 {
     u32::try_from(value).unwrap_or(u32::MAX)
 }
@@ -262,14 +274,14 @@ impl Config {
             least(2),
             most(MAX_TRAVEL_STEPS).min(i32::MAX as u32 / 2),
         )?;
-        let (slowest, fastest) = (least(MIN_STEP_RATE), most(MAX_STEP_RATE));
-        check(Field::MaxSpeed, self.max_speed_um_s, slowest, fastest)?;
         check(
             Field::Acceleration,
             self.acceleration_um_s2,
             least(MIN_ACCELERATION),
             most(MAX_ACCELERATION),
         )?;
+        let (slowest, fastest) = (least(MIN_STEP_RATE), most(max_rate(self.acceleration())));
+        check(Field::MaxSpeed, self.max_speed_um_s, slowest, fastest)?;
         check(
             Field::HomingFast,
             self.homing_fast_um_s,
@@ -373,6 +385,24 @@ mod tests {
     use std::string::ToString;
 
     #[test]
+    fn steep_ramps_reach_the_highest_rate_and_long_ones_what_can_be_fed() {
+        // In floating point: R + √(2aB).
+        for a in [MIN_ACCELERATION, 100_000, 250_000, 500_000, 900_000] {
+            let rate = 410_000.0 + (2.0 * f64::from(a) * 4096.0).sqrt();
+            assert_eq!(max_rate(a), rate.floor() as u32, "{a}");
+        }
+        assert_eq!(max_rate(1_000_000), MAX_STEP_RATE);
+        let slow_ramp = Config {
+            max_speed_um_s: 600_000,
+            acceleration_um_s2: 250_000,
+            ..Config::default()
+        };
+        // 200 000 steps/s²: 450 477 steps/s are 563 096.25 µm/s at 800 steps/mm.
+        let error = slow_ramp.validate().unwrap_err();
+        assert_eq!((error.field, error.max), (Field::MaxSpeed, 563_096));
+    }
+
+    #[test]
     fn limits_of_the_step_word() {
         assert_eq!(MAX_STEP_INTERVAL, 2_097_190);
         assert_eq!(MIN_STEP_RATE, 60);
@@ -445,7 +475,7 @@ mod tests {
         let e = c.validate().unwrap_err();
         assert_eq!(
             e.to_string(),
-            "max_speed_um_s is 700000, but must be 75 to 625000"
+            "max_speed_um_s is 700000, but must be 75 to 557753"
         );
     }
 

@@ -4,6 +4,10 @@
 
 const POLYNOMIAL: u32 = 0xEDB8_8320;
 
+#[allow(
+    clippy::indexing_slicing,
+    reason = "below the length, by the loop; when compiling"
+)]
 const TABLE: [u32; 16] = {
     let mut table = [0; 16];
     let mut i = 0;
@@ -41,10 +45,10 @@ impl Crc32 {
     }
 
     /// Takes in more bytes.
+    #[allow(clippy::indexing_slicing, reason = "the mask keeps the index below 16")]
     pub fn update(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.0 ^= u32::from(byte);
-            // The mask keeps the index below 16: no bounds check can fail.
             self.0 = (self.0 >> 4) ^ TABLE[(self.0 & 15) as usize];
             self.0 = (self.0 >> 4) ^ TABLE[(self.0 & 15) as usize];
         }

@@ -14,6 +14,18 @@
 //! | [`crc`] | CRC-32 |
 #![no_std]
 #![forbid(unsafe_code)]
+// No panics on the board: what can fail says so.
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::unreachable,
+        clippy::todo,
+        clippy::indexing_slicing
+    )
+)]
 
 #[macro_use]
 pub mod schema;

@@ -11,6 +11,10 @@ const FNV_PRIME: u64 = 0x0000_0100_0000_01b3;
 
 /// Folds `text` into `hash`, leaving out white space (it is the compiler's choice when tokens
 /// are turned into text).
+#[allow(
+    clippy::indexing_slicing,
+    reason = "below the length, by the loop; when compiling"
+)]
 pub const fn fnv1a(mut hash: u64, text: &str) -> u64 {
     let bytes = text.as_bytes();
     let mut i = 0;
@@ -26,6 +30,10 @@ pub const fn fnv1a(mut hash: u64, text: &str) -> u64 {
 }
 
 /// Hash of several shapes in order.
+#[allow(
+    clippy::indexing_slicing,
+    reason = "below the length, by the loop; when compiling"
+)]
 pub const fn fold(shapes: &[&str]) -> u64 {
     let mut hash = FNV_OFFSET;
     let mut i = 0;

@@ -190,6 +190,26 @@ export class Pico {
     if (withoutWatchdog) this.mcu.peripherals[0x40058].alarm.enable = false;
   }
 
+  /** The program goes on in the runtime's panic for a division by zero, with a location that names `line`. */
+  panic(line) {
+    const { core } = this.mcu;
+    const name = [...this.image.symbols.keys()].find((s) => s.includes('panic_const_div_by_zero'));
+    if (!name) throw new Error('the image has no panic for a division by zero');
+    // core::panic::Location { file: &str, line: u32, col: u32 }, in RAM between the statics and the stack.
+    const location = 0x20030000;
+    [FLASH + BOOT2_SIZE, 1, line, 1].forEach((word, i) => this.mcu.writeUint32(location + 4 * i, word));
+    core.waiting = false;
+    core.registers[0] = location;
+    core.PC = this.image.symbols.get(name) & ~1;
+  }
+
+  /** The CPU takes a hard fault where it is. */
+  hardFault() {
+    const { core } = this.mcu;
+    core.waiting = false;
+    core.exceptionEntry(3);
+  }
+
   /** defmt-rtt's up buffer, raw. */
   rtt() {
     const address = this.image.symbols.get('_SEGGER_RTT'), { mcu } = this;

@@ -7,9 +7,13 @@
 //                        later: DELAY cycles after the so-manieth STEP edge from now
 //   slide START TRAVEL   a slide that stands START steps from its home switch, the far limit TRAVEL
 //                        steps from it: STEP and DIR move it, it moves the switches
-//   camera DELAY LENGTH  a camera that answers each trigger by exposing, DELAY cycles later
+//   camera DELAY LENGTH [MISSED]…
+//                        a camera that answers each trigger by exposing, DELAY cycles later, but for
+//                        the triggers that it misses (from 0, counted from now)
 //   freeze               the CPU stops for good
 //   hang                 the same, but the watchdog goes on
+//   panic LINE           the program panics, as if by a division by zero in that line
+//   fault                the CPU takes a hard fault
 //   mark                 forgets the edges so far
 //   edges FILE           writes them: u64 little-endian each, cycle · 64 + pin · 2 + level
 //   log                  defmt's bytes since the last time, as hex
@@ -81,7 +85,8 @@ export class Session {
   }
 
   expose() {
-    const { delay, length } = this.camera, { clock } = this.pico;
+    const { delay, length, missed } = this.camera, { clock } = this.pico;
+    if (missed.has(this.camera.triggers++)) return;
     const end = clock.createAlarm(() => this.pico.set(EXPOSURE, 0));
     clock.createAlarm(() => {
       this.pico.set(EXPOSURE, 1);
@@ -124,13 +129,19 @@ export class Session {
         this.slide = { at: Number(rest[0]), travel: Number(rest[1]), home: 0, limit: 0 };
         return 'ok';
       case 'camera':
-        this.camera = { delay: Number(rest[0]), length: Number(rest[1]) };
+        this.camera = { delay: Number(rest[0]), length: Number(rest[1]), missed: new Set(rest.slice(2).map(Number)), triggers: 0 };
         return 'ok';
       case 'freeze':
         pico.freeze(true);
         return 'ok';
       case 'hang':
         pico.freeze(false);
+        return 'ok';
+      case 'panic':
+        pico.panic(Number(rest[0]));
+        return 'ok';
+      case 'fault':
+        pico.hardFault();
         return 'ok';
       case 'mark':
         this.edges.length = 0;

@@ -3,7 +3,6 @@
 
 use cannula::rig::link::{LinkError, ScanEvent};
 use cannula::simulation::mcu::{Pin, TRIGGER_DELAY};
-use cannula_firmware::laser::GUARD;
 use cannula_shared::error::Refusal;
 use cannula_shared::message::{ScanLaser, ScanMode, Trigger};
 use cannula_shared::units::{Micros, Steps, StepsPerMm};
@@ -171,18 +170,11 @@ fn the_laser_is_on_around_the_triggers_only() {
     let ends: Vec<u64> = trace.falls(Pin::Exposure).collect();
     assert_eq!((on.len(), off.len()), (fires.len(), fires.len()));
     for k in 0..fires.len() {
-        let lead = fires[k] - on[k];
-        // The configured lead, kept longer by the guard; the CPU may switch half a millisecond early.
-        let least = Micros(2_000).to_cycles().0;
-        let most = least + GUARD.to_cycles().0 + Micros(500).to_cycles().0;
-        assert!(
-            (least..most).contains(&lead),
-            "trigger {k}: lead {lead} cycles"
-        );
-        assert!(
-            off[k] >= ends[k] && off[k] - ends[k] < Micros(1_000).to_cycles().0,
-            "trigger {k}"
-        );
+        let step = fires[k] - TRIGGER_DELAY;
+        // The lead, and the latest end of an exposure that begins within 2 ms and lasts 5: to the cycle.
+        assert_eq!(step - on[k], Micros(2_000).to_cycles().0, "trigger {k}");
+        assert_eq!(off[k] - step, Micros(7_000).to_cycles().0, "trigger {k}");
+        assert!(off[k] >= ends[k], "trigger {k}");
     }
 
     let (_, trace) = run(RATIOS[0], 2000, ScanMode::Constant, ScanLaser::Whole);

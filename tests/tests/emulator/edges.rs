@@ -7,6 +7,7 @@ pub mod pin {
     pub const ENABLE: u8 = 4;
     pub const TRIGGER: u8 = 6;
     pub const LASER: u8 = 7;
+    pub const EXPOSURE: u8 = 14;
 }
 
 /// One change of a pin.

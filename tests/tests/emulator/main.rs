@@ -4,11 +4,15 @@
 //! Needs node, `npm ci` in tests/emulator, and the firmware built (`.ci/firmware.sh`); says
 //! `skipped:…` and passes where one is missing, unless `CANNULA_REQUIRE_EMULATOR=1`.
 
+mod bridge;
 mod edges;
 mod emulator;
+mod exposures;
+mod resets;
 mod rig;
 
 use cannula::rig::link::{Board, LinkError, ScanEvent};
+use cannula_shared::config::Config;
 use cannula_shared::hello::ResetReason;
 use cannula_shared::message::{ScanLaser, ScanMode};
 use cannula_shared::units::{Steps, StepsPerMm};
@@ -93,11 +97,42 @@ fn exact_spacing(ratio: StepsPerMm) -> Outcome {
             let lit = edges.level(pin::LASER, pulses[0]);
             assert_eq!(lit, Some(true), "lit at the first trigger");
             assert!(ledger.iter().all(|line| line.laser), "lit at every trigger");
+            timed_light(&rig, &edges, &pulses);
         } else {
             assert!(edges.rising(pin::LASER).is_empty(), "dark as asked");
         }
     }
     Ok(())
+}
+
+/// The laser by hardware alone: on to the cycle the lead before each trigger's STEP edge, off to the
+/// cycle at the latest end of its exposure.
+fn timed_light(rig: &Rig, edges: &edges::Edges, pulses: &[u64]) {
+    let cycles = |us: u32| u64::from(us) * PER_MICRO;
+    let c = &rig.config;
+    let (lead, tail) = (
+        cycles(c.laser_lead_us),
+        cycles(c.exposure_delay_us + c.exposure_us),
+    );
+    let (on, off) = (edges.rising(pin::LASER), edges.falling(pin::LASER));
+    assert_eq!((on.len(), off.len()), (pulses.len(), pulses.len()));
+    let leads = range(
+        on.iter()
+            .zip(pulses)
+            .map(|(on, pulse)| pulse - TRIGGER_OFFSET - on),
+    );
+    let tails = range(
+        off.iter()
+            .zip(pulses)
+            .map(|(off, pulse)| off + TRIGGER_OFFSET - pulse),
+    );
+    println!("laser: lead {leads:?} cycles of {lead}, tail {tails:?} of {tail}");
+    assert_eq!(leads, Some((lead, lead)), "lead, spread 0");
+    assert_eq!(
+        tails,
+        Some((tail, tail)),
+        "until the exposure's end, spread 0"
+    );
 }
 
 #[test]
@@ -133,23 +168,24 @@ fn full_moves_without_underrun() -> Outcome {
     let Some(found) = emulator::find() else {
         return Ok(());
     };
-    for (rate, acceleration, distance) in
-        [(100_000, 1_000_000, 40_000), (500_000, 10_000_000, 480_000)]
-    {
+    // The last is a ramp over the whole slide to the highest rate that its acceleration allows: each of
+    // its steps is a word of its own, and the CPU must make them about as fast as they are stepped.
+    for (rate, acceleration, distance) in [
+        (100_000, 1_000_000, 40_000),
+        (500_000, 10_000_000, 480_000),
+        (474_000, 500_000, 480_000),
+    ] {
         let rig = Rig::start(&found, config(StepsPerMm::whole(1600), rate, acceleration))?;
         let mark = rig.mark()?;
+        let interval = 125_000_000u64.div_ceil(rate);
         let ended = rig.board.jog(Steps(distance), 0)?;
         let edges = rig.emulator.get().edges()?;
         let steps = edges.rising(pin::STEP);
         assert_eq!(steps.len() as i32, distance);
         assert_eq!(i64::from(ended.0), mark.position + i64::from(distance));
-        let seen = shape(&steps, rig.acceleration(), 125_000_000 / rate);
+        let seen = shape(&steps, rig.acceleration(), interval);
         println!("{rate} steps/s: {seen:?}");
-        assert_eq!(
-            seen.cruise,
-            (125_000_000 / rate, 125_000_000 / rate),
-            "not a cycle of jitter"
-        );
+        assert_eq!(seen.cruise, (interval, interval), "not a cycle of jitter");
         assert!(seen.cruising >= 10_000);
         assert!(
             seen.off <= 1.0 + 1e-3,
@@ -159,14 +195,24 @@ fn full_moves_without_underrun() -> Outcome {
     Ok(())
 }
 
+/// A slide of 800 steps/mm at 50 000 steps/s. Its exposures overlap at 2 mm, so that the laser is on
+/// throughout even where it is timed to them.
+fn overlapping() -> Config {
+    Config {
+        exposure_us: 40_000,
+        ..config(StepsPerMm::whole(800), 50_000, 800_000)
+    }
+}
+
 /// A scan that has the laser on throughout, stopped half-way by `stop`; the edges afterwards, and the
 /// cycle at which it was stopped.
 fn scan_cut(
     rig: &Rig,
+    laser: ScanLaser,
     mut stop: impl FnMut(&mut Emulator) -> std::io::Result<()>,
 ) -> Result<(edges::Edges, u64), LinkError> {
     rig.mark()?;
-    let request = on_the_fly(2_000, 2_000, 100, ScanMode::Constant, ScanLaser::Whole);
+    let request = on_the_fly(3_000, 2_000, 100, ScanMode::Constant, laser);
     let mut scan = rig.board.scan(&request)?;
     let mut seen = 0;
     while seen < 20 {
@@ -202,19 +248,23 @@ fn dead_cpu() -> Outcome {
     let Some(found) = emulator::find() else {
         return Ok(());
     };
-    let rig = Rig::start(&found, config(StepsPerMm::whole(800), 50_000, 800_000))?;
-    let (edges, cut) = scan_cut(&rig, |emulator| emulator.command("freeze").map(drop))?;
-    let dark = *edges
-        .falling(pin::LASER)
-        .last()
-        .expect("the laser went off");
-    let last = *edges.rising(pin::STEP).last().expect("steps");
-    let (dark, last) = (milliseconds(cut, dark), milliseconds(cut, last));
-    println!("CPU dead: laser off after {dark:.2} ms, last step after {last:.2} ms");
-    assert_eq!(edges.level(pin::LASER, u64::MAX), Some(false));
-    assert!(dark <= 50.0, "laser off within 50 ms");
-    assert!(last <= 50.0, "motion ended within the look-ahead");
-    core::mem::forget(rig.board);
+    for laser in [ScanLaser::Whole, ScanLaser::Timed] {
+        let rig = Rig::start(&found, overlapping())?;
+        let (edges, cut) = scan_cut(&rig, laser, |emulator| emulator.command("freeze").map(drop))?;
+        let dark = *edges
+            .falling(pin::LASER)
+            .last()
+            .expect("the laser went off");
+        let last = *edges.rising(pin::STEP).last().expect("steps");
+        let (dark, last) = (milliseconds(cut, dark), milliseconds(cut, last));
+        println!(
+            "CPU dead, laser {laser:?}: laser off after {dark:.2} ms, last step after {last:.2} ms"
+        );
+        assert_eq!(edges.level(pin::LASER, u64::MAX), Some(false));
+        assert!(dark <= 50.0, "laser off within 50 ms");
+        assert!(last <= 50.0, "motion ended within the look-ahead");
+        core::mem::forget(rig.board);
+    }
     Ok(())
 }
 
@@ -225,19 +275,23 @@ fn silent_host() -> Outcome {
     let Some(found) = emulator::find() else {
         return Ok(());
     };
-    let rig = Rig::start(&found, config(StepsPerMm::whole(800), 50_000, 800_000))?;
-    let (edges, cut) = scan_cut(&rig, |_| Ok(()))?;
-    let dark = *edges
-        .falling(pin::LASER)
-        .last()
-        .expect("the laser went off");
-    let last = *edges.rising(pin::STEP).last().expect("steps");
-    let (dark, last) = (milliseconds(cut, dark), milliseconds(cut, last));
-    println!("host silent: laser off after {dark:.2} ms, last step after {last:.2} ms");
-    assert_eq!(edges.level(pin::LASER, u64::MAX), Some(false));
-    assert!(dark <= 300.0, "laser off within 300 ms");
-    assert!(last <= 600.0, "stopped");
-    core::mem::forget(rig.board);
+    for laser in [ScanLaser::Whole, ScanLaser::Timed] {
+        let rig = Rig::start(&found, overlapping())?;
+        let (edges, cut) = scan_cut(&rig, laser, |_| Ok(()))?;
+        let dark = *edges
+            .falling(pin::LASER)
+            .last()
+            .expect("the laser went off");
+        let last = *edges.rising(pin::STEP).last().expect("steps");
+        let (dark, last) = (milliseconds(cut, dark), milliseconds(cut, last));
+        println!(
+            "host silent, laser {laser:?}: laser off after {dark:.2} ms, last step after {last:.2} ms"
+        );
+        assert_eq!(edges.level(pin::LASER, u64::MAX), Some(false));
+        assert!(dark <= 300.0, "laser off within 300 ms");
+        assert!(last <= 600.0, "stopped");
+        core::mem::forget(rig.board);
+    }
     Ok(())
 }
 
@@ -248,7 +302,9 @@ fn hung_program() -> Outcome {
         return Ok(());
     };
     let rig = Rig::start(&found, config(StepsPerMm::whole(800), 50_000, 800_000))?;
-    let (edges, cut) = scan_cut(&rig, |emulator| emulator.command("hang").map(drop))?;
+    let (edges, cut) = scan_cut(&rig, ScanLaser::Whole, |emulator| {
+        emulator.command("hang").map(drop)
+    })?;
     assert_eq!(rig.emulator.get().resets, 1, "one reset");
     let dark = *edges
         .falling(pin::LASER)
@@ -305,21 +361,25 @@ fn emergency_stop() -> Outcome {
     let Some(found) = emulator::find() else {
         return Ok(());
     };
-    let rig = Rig::start(&found, config(StepsPerMm::whole(800), 50_000, 800_000))?;
-    let (edges, cut) = scan_cut(&rig, |emulator| emulator.command("pin 12 1").map(drop))?;
-    let dark = *edges
-        .falling(pin::LASER)
-        .last()
-        .expect("the laser went off");
-    let steps = edges.rising(pin::STEP);
-    let more = steps.iter().filter(|&&s| s > cut).count();
-    println!(
-        "E-stop: laser off after {} cycles, {more} more steps",
-        dark - cut
-    );
-    assert!(dark - cut <= 1_250, "dark within 10 µs");
-    assert!(more <= 1);
-    core::mem::forget(rig.board);
+    for laser in [ScanLaser::Whole, ScanLaser::Timed] {
+        let rig = Rig::start(&found, overlapping())?;
+        let (edges, cut) = scan_cut(&rig, laser, |emulator| {
+            emulator.command("pin 12 1").map(drop)
+        })?;
+        let dark = *edges
+            .falling(pin::LASER)
+            .last()
+            .expect("the laser went off");
+        let steps = edges.rising(pin::STEP);
+        let more = steps.iter().filter(|&&s| s > cut).count();
+        println!(
+            "E-stop: laser off after {} cycles, {more} more steps",
+            dark - cut
+        );
+        assert!(dark - cut <= 1_250, "dark within 10 µs");
+        assert!(more <= 1);
+        core::mem::forget(rig.board);
+    }
     Ok(())
 }
 

@@ -1,13 +1,13 @@
 //! The library's [`Engine`], on the state machines.
 
 use cannula_firmware::engine::{Engine, ExposureEdge, HaltOn, MoveSetup, TriggerEdge};
-use cannula_firmware::words::{CompareWord, StepWord};
+use cannula_firmware::words::{CompareWord, LightWord, StepWord};
 use cannula_shared::message::Inputs;
 use cannula_shared::units::{Cycles, Micros};
 use embassy_time::Instant;
 
 use crate::interrupts::{self, EXPOSURES, TRIGGERS};
-use crate::machines::{self, COMPARES, STEPS};
+use crate::machines::{self, COMPARES, LIGHTS, STEPS, pin};
 
 /// The longest lease that the laser's machine is given.
 const LONGEST_LEASE: Micros = Micros(25_000);
@@ -57,6 +57,9 @@ impl Hardware {
 impl Engine for Hardware {
     fn prepare(&mut self, setup: MoveSetup) {
         machines::prepare(setup.halt_on);
+        if setup.lights {
+            machines::play_lights();
+        }
         self.set_pulse(setup.pulse);
         self.halt_on = setup.halt_on;
         self.running = false;
@@ -79,6 +82,16 @@ impl Engine for Hardware {
 
     fn push_compare(&mut self, word: CompareWord) {
         let _ = COMPARES.push(word.raw());
+    }
+
+    fn light_room(&mut self) -> usize {
+        LIGHTS.room()
+    }
+
+    fn push_light(&mut self, word: LightWord) {
+        if machines::plays_lights() {
+            let _ = LIGHTS.push(word.raw());
+        }
     }
 
     fn start(&mut self) -> Micros {
@@ -146,6 +159,10 @@ impl Engine for Hardware {
     fn laser(&mut self, on_for: Micros) {
         let on_for = on_for.min(LONGEST_LEASE);
         machines::lease_laser(u32::try_from(on_for.0).unwrap_or(0));
+    }
+
+    fn lit(&mut self) -> bool {
+        machines::level(pin::LASER)
     }
 
     fn latched(&mut self) -> Inputs {

@@ -87,7 +87,16 @@ pub const fn ring<const N: usize>() -> Ring<N> {
     [const { AtomicU32::new(0) }; N]
 }
 
-/// A ring of `N` words, its two DMA channels and the PIO0 FIFO that they feed.
+/// A PIO block.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Block {
+    /// PIO0.
+    First,
+    /// PIO1.
+    Second,
+}
+
+/// A ring of `N` words, its two DMA channels and the FIFO that they feed.
 pub struct Feed<const N: usize> {
     ring: &'static Ring<N>,
     /// Words pushed so far; written by the one task that pushes.
@@ -96,12 +105,18 @@ pub struct Feed<const N: usize> {
     limit: AtomicUsize,
     arming: Mutex<Cell<Arming>>,
     channels: (u8, u8),
+    block: Block,
     machine: u8,
 }
 
 impl<const N: usize> Feed<N> {
-    /// A feed from `ring` to state machine `machine` of PIO0 by the two DMA channels given.
-    pub const fn new(ring: &'static Ring<N>, machine: u8, channels: (u8, u8)) -> Self {
+    /// A feed from `ring` to state machine `machine` of a block by the two DMA channels given.
+    pub const fn new(
+        ring: &'static Ring<N>,
+        block: Block,
+        machine: u8,
+        channels: (u8, u8),
+    ) -> Self {
         assert!(N.is_power_of_two() && channels.0 != channels.1 && machine < 4);
         Self {
             ring,
@@ -109,6 +124,7 @@ impl<const N: usize> Feed<N> {
             limit: AtomicUsize::new(0),
             arming: Mutex::new(Cell::new(Arming::EMPTY)),
             channels,
+            block,
             machine,
         }
     }
@@ -136,10 +152,22 @@ impl<const N: usize> Feed<N> {
         ctrl.set_high_priority(true);
         ctrl.set_data_size(DataSize::SIZE_WORD);
         ctrl.set_incr_read(true);
-        // The request numbers of PIO0's TX FIFOs are the machines' own numbers.
-        ctrl.set_treq_sel(TreqSel::from_bits(self.machine));
+        // The request numbers of PIO0's TX FIFOs are 0 to 3, of PIO1's 8 to 11.
+        let first = match self.block {
+            Block::First => 0,
+            Block::Second => 8,
+        };
+        ctrl.set_treq_sel(TreqSel::from_bits(first + self.machine));
         ctrl.set_chain_to(self.number(chain_to));
         ctrl
+    }
+
+    fn fifo(&self) -> pac::common::Reg<u32, pac::common::RW> {
+        let block = match self.block {
+            Block::First => pac::PIO0,
+            Block::Second => pac::PIO1,
+        };
+        block.txf(usize::from(self.machine))
     }
 
     fn busy(&self, which: Which) -> bool {
@@ -243,7 +271,7 @@ impl<const N: usize> Feed<N> {
         channel.read_addr().write_value(address);
         channel
             .write_addr()
-            .write_value(pac::PIO0.txf(usize::from(self.machine)).as_ptr() as u32);
+            .write_value(self.fifo().as_ptr() as u32);
         channel.trans_count().write(|w| *w = count as u32);
         // The words are in memory before the DMA is told of them.
         compiler_fence(Ordering::SeqCst);

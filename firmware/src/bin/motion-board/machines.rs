@@ -12,9 +12,9 @@ use embassy_rp::pio::{
     Common, Config, Direction, FifoJoin, Instance, LoadError, LoadedProgram, Pin, ShiftConfig,
     ShiftDirection, StateMachine,
 };
-use portable_atomic::{AtomicU8, Ordering};
+use portable_atomic::{AtomicBool, AtomicU8, Ordering};
 
-use crate::feed::{Feed, Ring, ring};
+use crate::feed::{Block, Feed, Ring, ring};
 use crate::programs;
 
 /// Pins that the machines drive or look at (contract.md).
@@ -49,15 +49,21 @@ const LASER: usize = 0;
 const UNNAMED: usize = usize::MAX;
 
 /// Step words: 4096 are 8 ms of a ramp at 500 000 steps/s, seconds of a cruise.
-pub static STEPS: Feed<4096> = Feed::new(&STEP_RING, STEPPER as u8, (0, 1));
+pub static STEPS: Feed<4096> = Feed::new(&STEP_RING, Block::First, STEPPER as u8, (0, 1));
 /// Compare words.
-pub static COMPARES: Feed<64> = Feed::new(&COMPARE_RING, COMPARE as u8, (2, 3));
+pub static COMPARES: Feed<64> = Feed::new(&COMPARE_RING, Block::First, COMPARE as u8, (2, 3));
+/// Light words.
+pub static LIGHTS: Feed<256> = Feed::new(&LIGHT_RING, Block::Second, LASER as u8, (4, 5));
 static STEP_RING: Ring<4096> = ring();
 static COMPARE_RING: Ring<64> = ring();
+static LIGHT_RING: Ring<256> = ring();
+/// The laser's machine plays light words; else it holds the lease.
+static PLAYS: AtomicBool = AtomicBool::new(false);
 
 /// Where each program begins, for the jumps that restart a machine.
-static ORIGIN: [AtomicU8; 5] = [const { AtomicU8::new(0) }; 5];
+static ORIGIN: [AtomicU8; 6] = [const { AtomicU8::new(0) }; 6];
 const ORIGIN_LASER: usize = 4;
+const ORIGIN_LIGHTS: usize = 5;
 
 fn origin(machine: usize) -> u8 {
     ORIGIN.get(machine).map_or(0, |o| o.load(Ordering::Relaxed))
@@ -130,8 +136,7 @@ pub fn prepare(halt_on: HaltOn) {
 
 /// Lets the prepared machines run, in the same cycle.
 pub fn start() {
-    STEPS.pump();
-    COMPARES.pump();
+    pump();
     clear_starved();
     set_enabled(bit(STEPPER) | bit(COMPARE), true);
 }
@@ -140,6 +145,32 @@ pub fn start() {
 pub fn pump() {
     STEPS.pump();
     COMPARES.pump();
+    pump_lights();
+}
+
+/// Light words must never reach the machine while it holds the lease: an interrupt may have
+/// switched the laser off between pushing and this.
+fn pump_lights() {
+    critical_section::with(|_| {
+        if PLAYS.load(Ordering::Relaxed) {
+            LIGHTS.pump();
+        }
+    });
+}
+
+/// The laser's machine waits, dark, for the next STEP edge, and plays light words from there.
+pub fn play_lights() {
+    critical_section::with(|_| {
+        laser_off();
+        LIGHTS.clear();
+        restart_laser(ORIGIN_LIGHTS);
+        PLAYS.store(true, Ordering::Relaxed);
+    });
+}
+
+/// Whether light words are played.
+pub fn plays_lights() -> bool {
+    PLAYS.load(Ordering::Relaxed)
 }
 
 /// No further edge: the machine is stopped and STEP low. The counter keeps what it counted.
@@ -244,23 +275,60 @@ pub fn lease_laser(us: u32) {
         laser_off();
         return;
     }
+    if plays_lights() {
+        laser_off();
+    }
     let cycles = us.saturating_mul(125);
     pac::PIO1
         .txf(LASER)
         .write_value(cycles / programs::LEASE_TICK);
 }
 
-/// The laser off within a few cycles, its lease forgotten.
+/// The laser off within a few cycles, its lease and its light words forgotten.
 pub fn laser_off() {
     critical_section::with(|_| {
-        let shift = pac::PIO1.sm(LASER).shiftctrl();
-        shift.modify(|w| w.set_fjoin_rx(!w.fjoin_rx()));
-        shift.modify(|w| w.set_fjoin_rx(!w.fjoin_rx()));
-        pac::PIO1
-            .sm(LASER)
-            .instr()
-            .write(|w| w.set_instr(jmp(origin(ORIGIN_LASER))));
+        quench();
+        if PLAYS.swap(false, Ordering::Relaxed) {
+            LIGHTS.clear();
+        }
+        restart_laser(ORIGIN_LASER);
     });
+}
+
+/// The laser's machine stopped, its pin low.
+fn quench() {
+    set_laser_enabled(false);
+    instruct_laser(SET_PINS_LOW);
+}
+
+fn instruct_laser(instruction: u16) {
+    pac::PIO1
+        .sm(LASER)
+        .instr()
+        .write(|w| w.set_instr(instruction));
+}
+
+fn set_laser_enabled(on: bool) {
+    pac::PIO1.ctrl().modify(|w| {
+        let now = w.sm_enable();
+        w.set_sm_enable(if on {
+            now | bit(LASER)
+        } else {
+            now & !bit(LASER)
+        });
+    });
+}
+
+/// The laser's machine dark, its FIFO empty, and on from the start of a program. In a critical section.
+fn restart_laser(program: usize) {
+    quench();
+    let shift = pac::PIO1.sm(LASER).shiftctrl();
+    // Toggling a join flushes both FIFOs.
+    shift.modify(|w| w.set_fjoin_rx(!w.fjoin_rx()));
+    shift.modify(|w| w.set_fjoin_rx(!w.fjoin_rx()));
+    pac::PIO1.ctrl().modify(|w| w.set_sm_restart(bit(LASER)));
+    instruct_laser(jmp(origin(program)));
+    set_laser_enabled(true);
 }
 
 /// Inputs that have had a rising edge since the last call, or are high now. The pads' edge detectors
@@ -348,7 +416,14 @@ pub fn set_up<'d>(
         let loaded = common1.try_load_program(&program)?;
         Ok(config(machine, &loaded))
     };
+    // Loaded beside the lease, for the same machine.
+    let _ = load1(ORIGIN_LIGHTS, programs::lights())?;
     let mut lease = load1(ORIGIN_LASER, programs::lease())?;
+    lease.shift_out = ShiftConfig {
+        threshold: 32,
+        direction: ShiftDirection::Right,
+        auto_fill: false,
+    };
     let watch = load1(UNNAMED, programs::watch())?;
     let exposure = load1(UNNAMED, programs::exposure())?;
     lease.set_set_pins(&[&pads.laser]);
@@ -372,6 +447,7 @@ pub fn set_up<'d>(
         .sm(LASER)
         .execctrl()
         .modify(|w| w.set_jmp_pin(pin::INTERLOCK));
+    look_at(LASER, pin::STEP);
     look_at(1, pin::ESTOP);
     look_at(2, pin::INTERLOCK);
     look_at(3, pin::EXPOSURE);

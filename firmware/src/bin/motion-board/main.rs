@@ -26,6 +26,7 @@ mod usb;
 use cannula_firmware::board::{Board, Reboot};
 use cannula_firmware::pins::Pins;
 use cannula_shared::hello::Identity;
+use cannula_shared::message::State;
 use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_futures::select::select;
@@ -62,6 +63,7 @@ async fn control(
     mut keeper: roll::Keeper,
 ) -> ! {
     let mut bytes = [0; 128];
+    let mut state = board.state();
     loop {
         for _ in 0..MOST_PER_TURN {
             let Ok(length) = FROM_HOST.try_read(&mut bytes) else {
@@ -74,6 +76,10 @@ async fn control(
         }
         let next = board.poll(now(), &mut hardware);
         hardware.pump();
+        if board.state() != state {
+            state = board.state();
+            log(state);
+        }
         for _ in 0..MOST_PER_TURN {
             if TO_HOST.is_full() {
                 break;
@@ -97,6 +103,14 @@ async fn control(
         // USB has its turn even when the logic has more to do at once.
         yield_now().await;
         select(WAKE.wait(), Timer::at(Instant::from_micros(next.0))).await;
+    }
+}
+
+/// The log of what the host is told as well; a fault with its cause in words.
+fn log(state: State) {
+    match state {
+        State::Fault(fault) => defmt::error!("fault: {}", defmt::Display2Format(&fault)),
+        _ => defmt::info!("state: {}", defmt::Debug2Format(&state)),
     }
 }
 

@@ -9,11 +9,12 @@
 //! | SM2 | [`camera`] | makes the camera's pulse from flag 4, counts it, hands the count to the CPU |
 //! | SM3 | [`count`] | counts STEP edges on the pad: where the slide is, whatever the CPU believes |
 //!
-//! PIO1 (16 of 32 words)
+//! PIO1 (31 of 32 words)
 //!
 //! | machine | program | job |
 //! |---|---|---|
 //! | SM0 | [`lease`] | the laser is on only while this machine counts down |
+//! | SM0, instead | [`lights`] | in a scan on the fly: light and darkness by the clock of the steps |
 //! | SM1, SM2 | [`watch`] | E-stop and interlock: an interrupt at the edge, not at the next poll |
 //! | SM3 | [`exposure`] | both edges of the camera's exposure-active output |
 //!
@@ -112,7 +113,7 @@ pub fn count() -> Program<32> {
 }
 
 /// The laser's lease. A word is the number of ticks for which the laser may stay on from now; the
-/// next word replaces what is left. Without words the machine runs down and blocks, dark. The jump
+/// next word replaces what is left; no word is longer than 34 ms, whatever its other bits. Without words the machine runs down and blocks, dark. The jump
 /// pin is the interlock: open (high) is dark within a tick, and only a new word lights it again.
 pub fn lease() -> Program<32> {
     pio_asm!(
@@ -120,15 +121,45 @@ pub fn lease() -> Program<32> {
         "dark:",
         "    set pins, 0",
         "    pull block",
-        "    mov x, osr",
+        "    out x, 15",
         "lit:",
         "    jmp !x dark",
         "    jmp pin dark",
         "    set pins, 1 [31]",
         "    pull noblock [31]", // with no word waiting this copies X to OSR
-        "    mov x, osr [31]",
+        "    out x, 15 [31]",
         "    jmp x-- lit [31]",
         ".wrap",
+    )
+    .program
+}
+
+/// Light words, played from the first STEP edge of a move on. Each takes 75 cycles, its fine and 64
+/// times its coarse count; its level is on the pin 5 cycles after its beginning. Where no word
+/// waits, the scratch register's zero is played, which is a short darkness. The jump pin is the
+/// interlock, looked at every 64 cycles. The same machine as [`lease`]'s: one of them drives the laser.
+pub fn lights() -> Program<32> {
+    pio_asm!(
+        "    wait 1 pin 0",
+        "word:",
+        "    set x, 0",
+        "    pull noblock", // with no word waiting this copies X to OSR
+        "    out y, 1",
+        "    jmp pin dark",
+        "    jmp !y dark",
+        "    set pins, 1",
+        "    jmp fine",
+        "dark:",
+        "    set pins, 0 [1]",
+        "fine:",
+        "    out y, 6",
+        "count:",
+        "    jmp y-- count",
+        "    out x, 13",
+        "coarse:",
+        "    jmp pin dark [31]",
+        "    jmp x-- coarse [31]",
+        "    jmp word",
     )
     .program
 }

@@ -5,20 +5,33 @@ use super::trace::{Pin, Trace};
 use super::world::{Contact, Exposed, Rig};
 use super::{INTERRUPT_LATENCY, Wires};
 use cannula_firmware::engine::{Engine, ExposureEdge, HaltOn, MoveSetup, TriggerEdge};
-use cannula_firmware::words::{CompareWord, StepWord};
+use cannula_firmware::words::{CompareWord, LIGHT_DELAY, LightWord, StepWord};
 use cannula_shared::message::Inputs;
 use cannula_shared::units::{Cycles, Micros};
 use std::collections::VecDeque;
 
-/// Cycles from a STEP edge to the trigger that it makes.
-pub const TRIGGER_DELAY: u64 = 3;
+/// Cycles from a STEP edge to the trigger that it makes, as the binary's programs do it.
+pub const TRIGGER_DELAY: u64 = 7;
 /// Width of a STEP pulse, cycles.
 const STEP_WIDTH: u64 = 32;
 /// Step words that the ring holds.
 pub const RING_STEPS: usize = 1024;
 /// Compare words that the ring holds.
 const RING_COMPARE: usize = 64;
+/// Light words that the ring holds.
+const RING_LIGHTS: usize = 256;
 const NEVER: u64 = u64::MAX;
+
+/// What the laser's machine makes of light words.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Playing {
+    /// Nothing: it holds a lease, or is dark.
+    No,
+    /// It waits for the move's first STEP edge.
+    Waits,
+    /// It plays them.
+    Plays,
+}
 
 pub(super) struct Machines {
     pub rig: Rig,
@@ -51,6 +64,9 @@ pub(super) struct Machines {
     triggers: u64,
     // Laser.
     lease_end: u64,
+    playing: Playing,
+    lights: VecDeque<LightWord>,
+    next_light: u64,
     // Camera.
     exposure_edges: Vec<(u64, bool)>,
     // Switches.
@@ -93,6 +109,9 @@ impl Machines {
             trigger_fall: NEVER,
             triggers: 0,
             lease_end: NEVER,
+            playing: Playing::No,
+            lights: VecDeque::new(),
+            next_light: NEVER,
             exposure_edges: Vec::new(),
             home: Contact::default(),
             limit: Contact::default(),
@@ -178,8 +197,15 @@ impl Machines {
         }
     }
 
+    fn laser_forget_lights(&mut self) {
+        self.playing = Playing::No;
+        self.lights.clear();
+        self.next_light = NEVER;
+    }
+
     fn laser_off(&mut self, now: u64) {
         self.lease_end = NEVER;
+        self.laser_forget_lights();
         self.trace.record(now, Pin::Laser, false);
     }
 
@@ -206,6 +232,7 @@ impl Machines {
                 .min(self.trigger_fall)
                 .min(self.step_fall)
                 .min(self.lease_end)
+                .min(self.next_light)
                 .min(self.contact_change)
                 .min(self.exposure_edges.first().map_or(NEVER, |e| e.0));
             if next > until {
@@ -232,6 +259,8 @@ impl Machines {
             self.trace.record(at, Pin::Trigger, false);
         } else if at == self.lease_end {
             self.laser_off(at);
+        } else if at == self.next_light {
+            self.light(at);
         } else if at == self.contact_change {
             self.sense(at, wires);
         } else if self.exposure_edges.first().is_some_and(|e| e.0 == at) {
@@ -279,6 +308,10 @@ impl Machines {
                 }
             }
         }
+        if self.playing == Playing::Waits {
+            self.playing = Playing::Plays;
+            self.next_light = at + u64::from(LIGHT_DELAY);
+        }
         self.last_edge = at;
         self.left -= 1;
         self.next_edge = NEVER;
@@ -288,6 +321,14 @@ impl Machines {
         if near(self.rig.slide) || near(self.rig.slide - self.rig.far) {
             self.sense(at, wires);
         }
+    }
+
+    /// The next light word, or darkness where there is none.
+    fn light(&mut self, at: u64) {
+        let word = self.lights.pop_front();
+        let lit = word.is_some_and(LightWord::lit) && !self.rig.interlock_open;
+        self.trace.record(at, Pin::Laser, lit);
+        self.next_light = word.map_or(NEVER, |w| at + u64::from(w.cycles()));
     }
 
     /// The next edge's time, from the word under way or the next one; `from` is the edge before
@@ -348,6 +389,10 @@ impl Engine for Machines {
         self.halted = false;
         self.finished = false;
         self.underrun = false;
+        if setup.lights {
+            self.laser_off(self.now);
+            self.playing = Playing::Waits;
+        }
     }
 
     fn step_room(&mut self) -> usize {
@@ -368,6 +413,20 @@ impl Engine for Machines {
 
     fn push_compare(&mut self, word: CompareWord) {
         self.gaps.push_back(CompareWord::from_raw(word.raw()));
+    }
+
+    fn light_room(&mut self) -> usize {
+        RING_LIGHTS - self.lights.len().min(RING_LIGHTS)
+    }
+
+    fn push_light(&mut self, word: LightWord) {
+        if self.playing == Playing::No {
+            return;
+        }
+        self.lights.push_back(LightWord::from_raw(word.raw()));
+        if self.playing == Playing::Plays && self.next_light == NEVER {
+            self.light(self.now);
+        }
     }
 
     fn start(&mut self) -> Micros {
@@ -426,9 +485,14 @@ impl Engine for Machines {
         if on_for.0 == 0 || self.rig.interlock_open {
             self.laser_off(self.now);
         } else {
+            self.laser_forget_lights();
             self.lease_end = self.now + on_for.to_cycles().0;
             self.trace.record(self.now, Pin::Laser, true);
         }
+    }
+
+    fn lit(&mut self) -> bool {
+        self.trace.level(Pin::Laser)
     }
 
     fn latched(&mut self) -> Inputs {

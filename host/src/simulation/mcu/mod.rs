@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The logic is the very code of the board. The machines follow the semantics of its PIO programs:
-//! intervals exact, trigger 3 cycles after its STEP edge, the laser's lease counted in hardware,
+//! intervals exact, trigger 7 cycles after its STEP edge, the laser's lease counted in hardware,
 //! the switch ahead looked at before each edge. What is not modelled is what code costs: a poll
 //! takes a fixed [`POLL_COST`].
 
