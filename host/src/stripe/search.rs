@@ -10,8 +10,9 @@ use crate::simd::widest;
 
 /// Rows of a band.
 const BAND: usize = 16;
-/// Columns worked on at a time: their ring buffers stay in the first-level cache.
-const STRIP: usize = 64;
+/// Columns worked on at a time: their ring buffers (14 KiB) stay in the first-level cache, and a
+/// row of a strip is long enough for the memory to be read ahead.
+const STRIP: usize = 256;
 /// Half of the rows of a sum.
 const HALF: usize = 2;
 /// Distance of the surround from the sum, rows.
