@@ -78,7 +78,7 @@ pub enum SetupError {
         /// Why.
         cause: std::io::Error,
     },
-    /// The file is not the TOML that is expected.
+    /// The file is not the TOML that is expected, or a value in it is out of range.
     #[error("{file}: {cause}")]
     Parse {
         /// Which.
@@ -184,11 +184,16 @@ impl Setup {
             cause,
         })?;
         let setup: Self = toml::from_str(&text).map_err(|e| SetupError::Parse {
-            file: name,
+            file: name.clone(),
             cause: e.to_string().replace('\n', " "),
         })?;
-        setup.check()?;
-        Ok(setup)
+        match setup.check() {
+            Ok(()) => Ok(setup),
+            Err(e) => Err(SetupError::Parse {
+                file: name,
+                cause: e.to_string(),
+            }),
+        }
     }
 
     /// Depth of the lumen's roof below the surface, mm.
@@ -254,5 +259,57 @@ impl Setup {
             t.toughness_kj_m2 *= k;
         }
         s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Setup, String> {
+        let dir = tempfile::tempdir().expect("a folder");
+        let file = dir.path().join("hand.toml");
+        std::fs::write(&file, text).expect("written");
+        Setup::read(&file).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_file_gives_its_own_values_and_leaves_the_others() {
+        let got = read(
+            "friction = 0.3\n[layers]\nskin_mm = 1.4\n[skin]\ntoughness_kj_m2 = 2.0\n\
+             strength_mpa = 9.0\n[skin.law]\nmodel = \"yeoh\"\nc10 = 0.6\nc20 = -0.05\n\
+             d1 = 0.01\nd2 = 0.1\n",
+        );
+        let mut expected = Setup {
+            friction: 0.3,
+            ..Setup::default()
+        };
+        expected.layers.skin_mm = 1.4;
+        expected.skin = Tissue {
+            law: Law::Yeoh {
+                c10: 0.6,
+                c20: -0.05,
+                d1: 0.01,
+                d2: 0.1,
+            },
+            toughness_kj_m2: 2.0,
+            strength_mpa: 9.0,
+        };
+        assert_eq!(got, Ok(expected));
+    }
+
+    #[test]
+    fn what_is_wrong_in_a_file_is_named_with_the_file() {
+        for (text, word) in [
+            ("friction = 7\n", "friction: 7 is outside 0 to 1.5"),
+            ("frictoin = 0.3\n", "frictoin"),
+            ("friction = \"much\"\n", "line 1"),
+            ("[layers]\nskin_mm = nan\n", "layers.skin_mm"),
+        ] {
+            let said = read(text).expect_err(text);
+            assert!(said.contains("hand.toml") && said.contains(word), "{said}");
+        }
+        let said = Setup::read(Path::new("/nowhere/hand.toml")).map_err(|e| e.to_string());
+        assert!(said.is_err_and(|s| s.contains("/nowhere/hand.toml")));
     }
 }
