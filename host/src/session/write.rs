@@ -34,8 +34,10 @@ pub fn write_png<P: Pixel>(path: &Path, image: &Image<P>) -> Result<(), SessionE
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(io)?;
     }
-    let file = std::io::BufWriter::new(std::fs::File::create(path).map_err(io)?);
-    let mut encoder = png::Encoder::new(file, image.width() as u32, image.height() as u32);
+    // In memory first: an encoder on a file writes its end when it is dropped, and would not say
+    // that a disk was full.
+    let mut bytes = Vec::with_capacity(size_of_val(image.pixels()) / 2);
+    let mut encoder = png::Encoder::new(&mut bytes, image.width() as u32, image.height() as u32);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(if P::BITS > 8 {
         png::BitDepth::Sixteen
@@ -43,8 +45,10 @@ pub fn write_png<P: Pixel>(path: &Path, image: &Image<P>) -> Result<(), SessionE
         png::BitDepth::Eight
     });
     encoder.set_compression(png::Compression::Fast);
-    encoder
-        .write_header()
-        .and_then(|mut w| w.write_image_data(&P::to_be_bytes(image.pixels())))
-        .map_err(|e| io(e.into()))
+    let mut writer = encoder.write_header().map_err(|e| io(e.into()))?;
+    writer
+        .write_image_data(&P::to_be_bytes(image.pixels()))
+        .and_then(|()| writer.finish())
+        .map_err(|e| io(e.into()))?;
+    std::fs::write(path, &bytes).map_err(io)
 }
