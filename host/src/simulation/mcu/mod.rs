@@ -23,7 +23,7 @@ pub use channel::Damage;
 pub use machines::{RING_STEPS, TRIGGER_DELAY};
 pub use pipe::VirtualPipe;
 #[cfg(unix)]
-pub use pty::RealTime;
+pub use pty::{RealTime, Terminal};
 pub use trace::{Edge, Pin, Trace};
 pub use world::{Exposed, Rig, Switch};
 

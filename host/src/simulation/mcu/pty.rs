@@ -11,9 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// A simulated board that runs by itself.
-pub struct RealTime {
-    board: VirtualPipe,
+/// A board behind a pseudo-terminal, with a thread that serves it.
+pub struct Terminal {
     path: String,
     end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -22,9 +21,12 @@ pub struct RealTime {
     _slave: File,
 }
 
-impl RealTime {
-    /// Starts the board; see [`Self::path`] for where it listens.
-    pub fn start(board: SimulatedBoard) -> io::Result<Self> {
+impl Terminal {
+    /// Opens the terminal. About once a millisecond `board` gets the bytes for the board and the
+    /// time since the beginning, and gives the bytes from it.
+    pub fn serve(
+        mut board: impl FnMut(&[u8], Micros) -> Vec<u8> + Send + 'static,
+    ) -> io::Result<Self> {
         let (mut master, mut slave) = TTYPort::pair()?;
         slave.set_exclusive(false)?;
         let path = slave
@@ -33,16 +35,13 @@ impl RealTime {
         let held = hold_open(&path)?;
         drop(slave);
         master.set_timeout(Duration::from_millis(1))?;
-        let board = VirtualPipe::new(board);
         let end = Arc::new(AtomicBool::new(false));
-        let (shared, ended) = (board.clone(), end.clone());
+        let ended = end.clone();
         let thread = std::thread::Builder::new()
-            .name("simulated board".into())
+            .name("board".into())
             .spawn(move || {
                 let began = Instant::now();
-                let start = shared.board().now().to_micros_down().0;
                 let mut buffer = [0; 1024];
-                let mut out: Vec<u8> = Vec::new();
                 while !ended.load(Ordering::Relaxed) {
                     // Waits a millisecond for bytes: the pace of the loop.
                     let read = match master.read(&mut buffer) {
@@ -57,25 +56,15 @@ impl RealTime {
                             0
                         }
                     };
-                    {
-                        let mut board = shared.board();
-                        if let Some(bytes) = buffer.get(..read).filter(|b| !b.is_empty()) {
-                            board.send(bytes);
-                        }
-                        let elapsed =
-                            u64::try_from(began.elapsed().as_micros()).unwrap_or(u64::MAX);
-                        board.run_until(Micros(start + elapsed).to_cycles());
-                        out.extend(board.receive());
-                    }
+                    let elapsed = u64::try_from(began.elapsed().as_micros()).unwrap_or(u64::MAX);
+                    let out = board(buffer.get(..read).unwrap_or(&[]), Micros(elapsed));
                     // Nobody may be reading: what does not fit is lost, as on a cable.
                     if !out.is_empty() {
                         let _ = master.write_all(&out);
-                        out.clear();
                     }
                 }
             })?;
-        Ok(RealTime {
-            board,
+        Ok(Self {
             path,
             end,
             thread: Some(thread),
@@ -86,6 +75,44 @@ impl RealTime {
     /// The port to connect to.
     pub fn path(&self) -> &str {
         &self.path
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A simulated board that runs by itself.
+pub struct RealTime {
+    board: VirtualPipe,
+    terminal: Terminal,
+}
+
+impl RealTime {
+    /// Starts the board; see [`Self::path`] for where it listens.
+    pub fn start(board: SimulatedBoard) -> io::Result<Self> {
+        let board = VirtualPipe::new(board);
+        let shared = board.clone();
+        let start = board.board().now().to_micros_down().0;
+        let terminal = Terminal::serve(move |bytes, elapsed| {
+            let mut board = shared.board();
+            if !bytes.is_empty() {
+                board.send(bytes);
+            }
+            board.run_until(Micros(start + elapsed.0).to_cycles());
+            board.receive()
+        })?;
+        Ok(Self { board, terminal })
+    }
+
+    /// The port to connect to.
+    pub fn path(&self) -> &str {
+        self.terminal.path()
     }
 
     /// The board, to look at and to disturb.
@@ -102,13 +129,4 @@ fn hold_open(path: &str) -> io::Result<File> {
     #[cfg(target_os = "linux")]
     std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, 0o400);
     options.open(path)
-}
-
-impl Drop for RealTime {
-    fn drop(&mut self) {
-        self.end.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
 }
