@@ -14,6 +14,7 @@ mod views;
 pub use calibration::{Calibrated, Light, calibrate};
 pub use error::PipelineError;
 pub use reconstruction::{FrameResult, Measurement, Reconstruction, measure};
+pub(crate) use reconstruction::{belong_together, exposed};
 pub use times::{Stage, Times};
 
 /// Which way a recording is worked on.

@@ -10,10 +10,11 @@ use crate::geometry::{Point3, Vector2};
 use crate::image::{Image, Pixel};
 use crate::needle::{self, Decision, EntryRequest, NeedleError, PlaneMethod};
 use crate::progress::Progress;
-use crate::session::{Depth, Entry, Frame, Session};
+use crate::session::{Depth, Entry, Session};
 use crate::stripe::hand::{self, HandSettings, Surface};
 use crate::stripe::{StripeError, StripePoint, paper};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// What one frame gave.
 #[derive(Clone, Debug, Default)]
@@ -278,7 +279,9 @@ fn run<P: Pixel>(
             "give entry pixel, vein and radius from the vein imaging",
         )
     })?;
-    let warnings = belong_together(session, rig, calibrated, &scan.frames)?;
+    let size = (manifest.image.width, manifest.image.height);
+    let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
+    let warnings = belong_together(session.file(), size, rig, calibrated, &positions)?;
     for warning in &warnings {
         progress.warn(warning);
     }
@@ -328,7 +331,7 @@ fn run<P: Pixel>(
 
 /// Refuses an image of one grey throughout, and one of which more than a third is saturated: no
 /// stripe could be told in either.
-fn exposed<P: Pixel>(
+pub(crate) fn exposed<P: Pixel>(
     image: &Image<P>,
     path: impl FnOnce() -> std::path::PathBuf,
 ) -> Result<(), PipelineError> {
@@ -353,29 +356,31 @@ fn exposed<P: Pixel>(
     })
 }
 
-/// Whether a scan can be worked on with a calibration; warnings where it can but should not.
-fn belong_together(
-    session: &Session,
+/// Whether a scan of images of `size` at these slide `positions` can be worked on with a calibration;
+/// warnings where it can but should not. `file` is what an error names.
+pub(crate) fn belong_together(
+    file: &Path,
+    size: (u32, u32),
     rig: &RigModel,
     calibrated: &[f64],
-    frames: &[Frame],
+    positions: &[f64],
 ) -> Result<Vec<String>, PipelineError> {
     let mismatch = |what: String, remedy| PipelineError::Mismatch {
-        path: session.file().to_owned(),
+        path: file.to_owned(),
         what,
         remedy,
     };
-    let (size, camera) = (session.manifest.image, &rig.camera);
-    if (size.width, size.height) != (camera.width, camera.height) {
+    let camera = &rig.camera;
+    if size != (camera.width, camera.height) {
         return Err(mismatch(
             format!(
                 "its images are {} × {} pixels, the calibration is for {} × {}",
-                size.width, size.height, camera.width, camera.height
+                size.0, size.1, camera.width, camera.height
             ),
             "use a calibration of this camera at this image size",
         ));
     }
-    if rig.light.a == 0.0 && frames.len() > 1 {
+    if rig.light.a == 0.0 && positions.len() > 1 {
         return Err(mismatch(
             "the calibration knows the light plane at one slide position only, the scan has more"
                 .to_owned(),
@@ -388,7 +393,7 @@ fn belong_together(
         })
     };
     let (low, high) = range(&mut calibrated.iter().copied());
-    let (first, last) = range(&mut frames.iter().map(|f| f.slide_mm));
+    let (first, last) = range(&mut positions.iter().copied());
     if calibrated.len() < 2 || (first >= low - 1e-6 && last <= high + 1e-6) {
         return Ok(Vec::new());
     }
