@@ -1,4 +1,5 @@
 //! Helpers that the end-to-end tests share.
 
 pub mod bench;
+pub mod program;
 pub mod truth;

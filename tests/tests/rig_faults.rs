@@ -3,7 +3,7 @@
 
 use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot, Sweep};
 use cannula::rig::camera::Picture;
-use cannula::rig::capture::{self, CaptureError};
+use cannula::rig::capture::{self, CaptureError, Step};
 use cannula::rig::config::{Mode, Rig};
 use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
 use cannula::rig::link::{Board, LinkError};
@@ -253,28 +253,22 @@ fn broken_off(disk: bool) {
     let cancel = AtomicBool::new(false);
     let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
     let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
-    let outcome = capture::scan(
-        &mut acquisition,
-        &rig,
-        &mut recording,
-        false,
-        &mut |shot, _| {
-            if shot.is_some_and(|s| s.index == 3) {
-                if disk {
-                    // From here on nothing can be written below "scan".
-                    std::fs::rename(dir.path().join("scan"), dir.path().join("moved")).unwrap();
-                    std::fs::write(dir.path().join("scan"), "").unwrap();
-                } else {
-                    cancel.store(true, Ordering::Relaxed);
-                }
-            }
+    let outcome = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
+        if matches!(step, Step::Shot(s) if s.index == 3) {
             if disk {
-                // Time for the background writer to meet the failure.
-                std::thread::sleep(Duration::from_millis(30));
+                // From here on nothing can be written below "scan".
+                std::fs::rename(dir.path().join("scan"), dir.path().join("moved")).unwrap();
+                std::fs::write(dir.path().join("scan"), "").unwrap();
+            } else {
+                cancel.store(true, Ordering::Relaxed);
             }
-            Ok(())
-        },
-    );
+        }
+        if disk {
+            // Time for the background writer to meet the failure.
+            std::thread::sleep(Duration::from_millis(30));
+        }
+        Ok(())
+    });
     let error = outcome.unwrap_err();
     match (&error, disk) {
         (CaptureError::Acquire(AcquireError::Interrupted), false) => {}
@@ -307,13 +301,9 @@ fn broken_off(disk: bool) {
     cancel.store(false, Ordering::Relaxed);
     stage.show(&Subject::Hand);
     let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
-    capture::scan(
-        &mut acquisition,
-        &rig,
-        &mut recording,
-        false,
-        &mut |_, _| Ok(()),
-    )
+    capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |_| {
+        Ok(())
+    })
     .unwrap();
     let session = cannula::session::Session::open(dir.path()).unwrap();
     let scan = session.manifest.scan.unwrap();
@@ -412,7 +402,7 @@ fn a_recording_is_replayed_frame_by_frame() {
             .run(
                 &mut ledger,
                 recorded_anchor(&frames),
-                &mut |trigger, picture| {
+                &mut |trigger, taken| {
                     shots += 1;
                     // The hand lies between these.
                     if (6..26).contains(&trigger.index) {
@@ -422,7 +412,8 @@ fn a_recording_is_replayed_frame_by_frame() {
                             slide_mm: frames[trigger.index as usize].slide_mm,
                             trigger_us: trigger.time.0,
                             laser: true,
-                            picture,
+                            picture: taken.picture,
+                            arrived: taken.arrived,
                         };
                         assert!(off_by_px(&renderer, &shot) < 1.2);
                     }

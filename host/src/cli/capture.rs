@@ -5,16 +5,18 @@ use super::Output;
 use super::live::complain;
 use super::rig::{RigArgs, interrupted, say_homed};
 use crate::progress::Progress;
-use crate::rig::acquisition::Acquisition;
-use crate::rig::capture::{self, LightOutcome, PoseOutcome};
+use crate::rig::acquisition::{AcquireError, Acquisition};
+use crate::rig::capture::{self, LightOutcome, PoseOutcome, Step};
 use crate::rig::guide::Guide;
 use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
 use crate::session::Session;
 use crate::simulation::{Subject, Truth};
 use serde_json::json;
-use std::io::BufRead;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
 
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
@@ -56,6 +58,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let rig = args.rig.load()?;
     let cancel = interrupted()?;
     let mut opened = open::open(&rig)?;
+    opened.board.heed(cancel);
     out.say(&format!("camera: {}", opened.camera.description()));
     say_homed(open::ready(&opened.board, &rig)?, &rig, out);
     let size = opened.camera.size();
@@ -71,7 +74,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         ..
     } = &mut opened;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
-    let mut operator = Operator::new(common, out);
+    let mut operator = Operator::new(common, cancel, out);
     match &args.what {
         What::Camera(c) => {
             if c.force {
@@ -150,12 +153,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     capture::light_pose(&mut acquisition, &rig, &mut recording, &mut || out.step());
                 out.finish();
                 match outcome? {
-                    LightOutcome::Taken { folder, sweep } => {
+                    LightOutcome::Taken {
+                        folder,
+                        sweep,
+                        waited,
+                    } => {
                         out.say(&format!(
                             "{folder}: {} of {} positions",
                             sweep.shots, sweep.planned
                         ));
-                        complain(&sweep, out);
+                        complain(&sweep, waited, out);
                     }
                     LightOutcome::NotFound(why) => out.warn(&format!("not taken: {why}")),
                 }
@@ -181,20 +188,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 &rig,
                 &mut recording,
                 c.force,
-                &mut |_, _| {
-                    out.step();
+                &mut |step| {
+                    if matches!(step, Step::Shot(_)) {
+                        out.step();
+                    }
                     Ok(())
                 },
             );
             out.finish();
             let scanned = scanned?;
-            complain(&scanned.sweep, out);
-            if scanned.waited.as_millis() > 0 {
-                out.warn(&format!(
-                    "the disk kept the camera waiting for {:.2} s; frames that were lost are named above",
-                    scanned.waited.as_secs_f64()
-                ));
-            }
+            complain(&scanned.sweep, scanned.waited, out);
             let object = json!({
                 "session": common.out, "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
                 "faults": scanned.sweep.complaints(),
@@ -238,17 +241,22 @@ fn known(
 /// Who says when a pose is ready: somebody at the keyboard, or a number given beforehand.
 struct Operator<'a> {
     poses: Option<usize>,
-    every: f64,
+    every: Duration,
     taken: usize,
+    cancel: &'a AtomicBool,
+    /// Lines from the keyboard: read elsewhere, so that Ctrl-C is heeded meanwhile.
+    keyboard: Option<Receiver<std::io::Result<String>>>,
     out: &'a Output,
 }
 
 impl<'a> Operator<'a> {
-    fn new(common: &Common, out: &'a Output) -> Self {
+    fn new(common: &Common, cancel: &'a AtomicBool, out: &'a Output) -> Self {
         Self {
             poses: common.poses,
-            every: common.every,
+            every: Duration::from_secs_f64(common.every.clamp(0.0, 3600.0)),
             taken: 0,
+            cancel,
+            keyboard: None,
             out,
         }
     }
@@ -256,8 +264,10 @@ impl<'a> Operator<'a> {
     /// Whether to take another pose. `enough`: it would be the user's own wish.
     fn go_on(&mut self, what: &str, enough: bool) -> anyhow::Result<bool> {
         if let Some(poses) = self.poses {
-            if self.taken < poses && self.every > 0.0 {
-                std::thread::sleep(std::time::Duration::from_secs_f64(self.every.min(3600.0)));
+            let began = Instant::now();
+            while self.taken < poses && began.elapsed() < self.every {
+                heed(self.cancel)?;
+                std::thread::sleep(Duration::from_millis(10));
             }
             return Ok(self.taken < poses);
         }
@@ -267,8 +277,32 @@ impl<'a> Operator<'a> {
             "q to leave off; it goes on later"
         };
         self.out.say(&format!("Enter to {what}, {end}"));
-        let mut line = String::new();
-        let read = std::io::stdin().lock().read_line(&mut line)?;
-        Ok(read > 0 && !line.trim().eq_ignore_ascii_case("q"))
+        let keyboard = self.keyboard.get_or_insert_with(|| {
+            let (send, receive) = channel();
+            // It ends with the program, or when nobody listens any more.
+            std::thread::spawn(move || {
+                for line in std::io::stdin().lines() {
+                    if send.send(line).is_err() {
+                        break;
+                    }
+                }
+            });
+            receive
+        });
+        let line = loop {
+            match keyboard.recv_timeout(Duration::from_millis(50)) {
+                Ok(line) => break line?,
+                Err(RecvTimeoutError::Disconnected) => return Ok(false),
+                Err(RecvTimeoutError::Timeout) => heed(self.cancel)?,
+            }
+        };
+        Ok(!line.trim().eq_ignore_ascii_case("q"))
     }
+}
+
+fn heed(cancel: &AtomicBool) -> anyhow::Result<()> {
+    if cancel.load(Ordering::Relaxed) {
+        return Err(AcquireError::Interrupted.into());
+    }
+    Ok(())
 }

@@ -14,7 +14,7 @@ use crate::puncture::default_decision;
 use crate::puncture::tissue::Setup;
 use crate::report;
 use crate::rig::acquisition::Acquisition;
-use crate::rig::capture::{LightOutcome, PoseOutcome, camera_pose, light_pose, scan};
+use crate::rig::capture::{LightOutcome, PoseOutcome, Step, camera_pose, light_pose, scan};
 use crate::rig::config::Rig;
 use crate::rig::guide::Guide;
 use crate::rig::open::{self, SIMULATED};
@@ -159,6 +159,7 @@ fn record(
 ) -> anyhow::Result<(Truth, std::sync::Arc<crate::simulation::Renderer>)> {
     let cancel = interrupted()?;
     let mut opened = open::simulated(rig)?;
+    opened.board.heed(cancel);
     let stage = opened
         .stage
         .take()
@@ -206,8 +207,12 @@ fn record(
         stage.show(&Subject::Board(*pose));
         stage.take_lit();
         match light_pose(&mut acquisition, rig, &mut recording, &mut || out.step())? {
-            LightOutcome::Taken { folder, sweep } => {
-                complain(&sweep, out);
+            LightOutcome::Taken {
+                folder,
+                sweep,
+                waited,
+            } => {
+                complain(&sweep, waited, out);
                 recorded
                     .light
                     .push((format!("{folder}/off.png"), *pose, lit(&stage.take_lit())));
@@ -221,12 +226,14 @@ fn record(
     stage.take_lit();
     recording.manifest.entry = Some(truth.entry.clone());
     out.start("scan", rig.scan.count as usize);
-    let scanned = scan(&mut acquisition, rig, &mut recording, false, &mut |_, _| {
-        out.step();
+    let scanned = scan(&mut acquisition, rig, &mut recording, false, &mut |step| {
+        if matches!(step, Step::Shot(_)) {
+            out.step();
+        }
         Ok(())
     })?;
     out.finish();
-    complain(&scanned.sweep, out);
+    complain(&scanned.sweep, scanned.waited, out);
     if let Some((_, drift)) = scanned.sweep.clock {
         out.detail(&format!(
             "camera clock against board clock: {:+.1} ppm",

@@ -129,7 +129,22 @@ pub fn measure_and_write(
         measured.warnings.push(words);
     }
     let robot = session.manifest.robot_from_camera.as_ref();
-    let mut result = ResultFile::new(&measured, "cloud.ply", source, method, robot);
+    let result = write_measured(folder, &measured, method, args, robot, times, begun)?;
+    Ok((result, measured))
+}
+
+/// Writes cloud and result of a measurement into `folder`.
+pub fn write_measured(
+    folder: &Path,
+    measured: &Measurement,
+    method: Method,
+    args: &NeedleArgs,
+    robot: Option<&[[f64; 4]; 4]>,
+    times: &Times,
+    begun: Instant,
+) -> anyhow::Result<ResultFile> {
+    let source = args.settings().1;
+    let mut result = ResultFile::new(measured, "cloud.ply", source, method, robot);
     times.time(Stage::Write, || -> anyhow::Result<()> {
         let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
         let points = &measured.cloud;
@@ -151,7 +166,7 @@ pub fn measure_and_write(
     result.seconds = seconds(times, begun);
     // The result last: where it stands, all else stands.
     write_json(&folder.join("result.json"), &result)?;
-    Ok((result, measured))
+    Ok(result)
 }
 
 /// Seconds a stage (summed over threads), and of the clock on the wall.

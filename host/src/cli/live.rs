@@ -2,138 +2,236 @@
 //! it is matched, so that the result stands right after the last one.
 
 use super::Output;
-use super::job::{NeedleArgs, decision_words};
+use super::job::{NeedleArgs, decision_words, write_measured};
 use crate::calibration::RigModel;
-use crate::image::Pixel;
-use crate::output::{ResultFile, write_json, write_whole};
-use crate::pipeline::{Measurement, Method, Reconstruction, Times};
-use crate::rig::acquisition::{AcquireError, Shot};
+use crate::geometry::Camera;
+use crate::image::{Image, Pixel};
+use crate::needle::EntryRequest;
+use crate::output::ResultFile;
+use crate::pipeline::{
+    FrameResult, Measurement, Method, PipelineError, Reconstruction, Stage, Times, exposed,
+};
+use crate::progress::Progress;
+use crate::puncture::default_decision;
+use crate::puncture::tissue::Setup;
+use crate::report;
+use crate::rig::acquisition::{Shot, Sweep};
 use crate::rig::camera::Picture;
-use crate::session::Entry;
-use std::path::Path;
+use crate::session::{Entry, Session};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// A reconstruction of pictures of either depth.
+///
+/// What is wrong with a picture is said by [`Live::decide`]: it must not end the recording.
 pub struct Live {
     rig: RigModel,
     times: Times,
     depth: Depth,
-    /// When the last frame was handed over.
+    begun: Instant,
+    /// When the last frame was taken from the camera.
     last: Instant,
-    frames: usize,
+    failure: Option<anyhow::Error>,
 }
 
 enum Depth {
     Unknown,
-    Eight(Reconstruction<u8>),
-    Sixteen(Reconstruction<u16>),
+    Eight(Frames<u8>),
+    Sixteen(Frames<u16>),
+}
+
+struct Frames<P: Pixel> {
+    whole: Reconstruction<P>,
+    /// Slide position and points of each frame, as they came.
+    results: Vec<(f64, FrameResult)>,
+}
+
+impl<P: Pixel> Frames<P> {
+    fn new(rig: &RigModel, ambient: Option<Image<P>>) -> Self {
+        Self {
+            whole: Reconstruction::new(rig.clone(), Method::Ml, ambient),
+            results: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, shot: &Shot, image: &Image<P>, times: &Times) -> Result<(), PipelineError> {
+        let path = || PathBuf::from(format!("frame {}", shot.index));
+        exposed(image, path)?;
+        let result = self.whole.frame(shot.index, shot.slide_mm, image, times);
+        let result = result.map_err(|source| PipelineError::Stripe {
+            path: path(),
+            source,
+        })?;
+        self.results.push((shot.slide_mm, result));
+        Ok(())
+    }
+
+    /// Puts the frames in the order of travel: one that was shot again came last, and the surface
+    /// is laid through neighbouring stripes.
+    fn in_order(mut self) -> Reconstruction<P> {
+        self.results.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for ((_, mut result), frame) in self.results.into_iter().zip(0..) {
+            for point in result.hand.iter_mut().chain(&mut result.background) {
+                point.frame = frame;
+            }
+            self.whole.add(result);
+        }
+        self.whole
+    }
+}
+
+/// What a live reconstruction has come to.
+pub struct Finished {
+    /// The hand and the needle.
+    pub measured: Measurement,
+    /// How long after the last frame they stood.
+    pub after: Duration,
+    times: Times,
+    begun: Instant,
+    camera: Camera,
 }
 
 impl Live {
     /// For a calibrated rig.
     pub fn new(rig: RigModel) -> Self {
+        let now = Instant::now();
         Self {
             rig,
             times: Times::default(),
             depth: Depth::Unknown,
-            last: Instant::now(),
-            frames: 0,
+            begun: now,
+            last: now,
+            failure: None,
         }
     }
 
     /// The scene without laser, before the first frame.
     pub fn ambient(&mut self, picture: &Picture) {
-        let rig = self.rig.clone();
         self.depth = match picture {
-            Picture::Eight(i) => {
-                Depth::Eight(Reconstruction::new(rig, Method::Ml, Some(i.clone())))
-            }
-            Picture::Sixteen(i) => {
-                Depth::Sixteen(Reconstruction::new(rig, Method::Ml, Some(i.clone())))
-            }
+            Picture::Eight(i) => Depth::Eight(Frames::new(&self.rig, Some(i.clone()))),
+            Picture::Sixteen(i) => Depth::Sixteen(Frames::new(&self.rig, Some(i.clone()))),
         };
     }
 
     /// The next frame.
-    pub fn push(&mut self, shot: &Shot, picture: &Picture) -> Result<(), AcquireError> {
-        self.last = Instant::now();
+    pub fn push(&mut self, shot: &Shot) {
+        self.last = shot.arrived;
+        if self.failure.is_some() {
+            return;
+        }
         if matches!(self.depth, Depth::Unknown) {
-            let rig = self.rig.clone();
-            self.depth = match picture {
-                Picture::Eight(_) => Depth::Eight(Reconstruction::new(rig, Method::Ml, None)),
-                Picture::Sixteen(_) => Depth::Sixteen(Reconstruction::new(rig, Method::Ml, None)),
+            self.depth = match &shot.picture {
+                Picture::Eight(_) => Depth::Eight(Frames::new(&self.rig, None)),
+                Picture::Sixteen(_) => Depth::Sixteen(Frames::new(&self.rig, None)),
             };
         }
-        let done = match (&mut self.depth, picture) {
-            (Depth::Eight(r), Picture::Eight(i)) => r.push(shot.slide_mm, i, &self.times),
-            (Depth::Sixteen(r), Picture::Sixteen(i)) => r.push(shot.slide_mm, i, &self.times),
+        let done = match (&mut self.depth, &shot.picture) {
+            (Depth::Eight(f), Picture::Eight(i)) => f.push(shot, i, &self.times),
+            (Depth::Sixteen(f), Picture::Sixteen(i)) => f.push(shot, i, &self.times),
             _ => {
-                return Err(AcquireError::Sink(
-                    "the camera has changed its depth in the middle of a scan".into(),
+                self.failure = Some(anyhow::anyhow!(
+                    "frame {}: the camera has changed its depth in the middle of a scan",
+                    shot.index
                 ));
+                return;
             }
         };
-        self.frames += 1;
-        done.map(drop)
-            .map_err(|e| AcquireError::Sink(format!("frame {}: {e}", shot.index)))
+        self.failure = done.err().map(anyhow::Error::from);
     }
 
-    /// Plane, entry and needle, and how long after the last frame they stood.
-    pub fn decide(
-        self,
-        entry: &Entry,
-        needle: &NeedleArgs,
-    ) -> anyhow::Result<(Measurement, Duration)> {
-        match self.depth {
-            Depth::Eight(r) => decide(r, self.last, entry, needle),
-            Depth::Sixteen(r) => decide(r, self.last, entry, needle),
-            Depth::Unknown => anyhow::bail!("no frame arrived"),
+    /// Plane, entry and needle, once the last frame is in.
+    pub fn decide(self, entry: &Entry, needle: &NeedleArgs) -> anyhow::Result<Finished> {
+        if let Some(failure) = self.failure {
+            return Err(failure);
         }
+        let (last, begun) = (self.last, self.begun);
+        let measured = match self.depth {
+            Depth::Eight(f) => decide(f.in_order(), entry, needle, &self.times),
+            Depth::Sixteen(f) => decide(f.in_order(), entry, needle, &self.times),
+            Depth::Unknown => anyhow::bail!("no frame arrived"),
+        }?;
+        Ok(Finished {
+            measured,
+            after: last.elapsed(),
+            times: self.times,
+            begun,
+            camera: self.rig.camera,
+        })
     }
 }
 
 fn decide<P: Pixel>(
     whole: Reconstruction<P>,
-    last: Instant,
     entry: &Entry,
     needle: &NeedleArgs,
-) -> anyhow::Result<(Measurement, Duration)> {
-    let request = entry.into();
-    let (settings, source) = needle.settings();
-    let decision = whole.decide(&request, &settings)?;
-    let after = last.elapsed();
-    Ok((
-        Measurement {
-            cloud: whole.cloud,
-            background: whole.background,
-            counts: whole.counts,
-            request,
-            decision,
-            warnings: decision_words(source).into_iter().collect(),
-        },
-        after,
-    ))
+    times: &Times,
+) -> anyhow::Result<Measurement> {
+    let request = EntryRequest::from(entry);
+    let settings = needle.settings().0;
+    let decision = times.time(Stage::Needle, || whole.decide(&request, &settings))?;
+    Ok(Measurement {
+        cloud: whole.cloud,
+        background: whole.background,
+        counts: whole.counts,
+        request,
+        decision,
+        warnings: Vec::new(),
+    })
 }
 
-/// Writes cloud.ply and result.json.
-pub fn write(
-    folder: &Path,
-    measured: &Measurement,
-    needle: &NeedleArgs,
-) -> anyhow::Result<ResultFile> {
-    let source = needle.settings().1;
-    let result = ResultFile::new(measured, "cloud.ply", source, Method::Ml, None);
-    let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
-    write_whole(&folder.join("cloud.ply"), |w| {
-        crate::cloud::write_ply(w, &measured.cloud, &comment)
-    })?;
-    write_json(&folder.join("result.json"), &result)?;
-    Ok(result)
+impl Finished {
+    /// Adds what is weak, and says it.
+    pub fn warn(&mut self, weak: Vec<String>, needle: &NeedleArgs, out: &Output) {
+        for words in weak.into_iter().chain(decision_words(needle.settings().1)) {
+            out.warn(&words);
+            self.measured.warnings.push(words);
+        }
+    }
+
+    /// Writes cloud, result and report. `session` is the recording of the frames.
+    pub fn write(
+        &self,
+        folder: &Path,
+        session: &Session,
+        needle: &NeedleArgs,
+    ) -> anyhow::Result<ResultFile> {
+        let (measured, times) = (&self.measured, &self.times);
+        let robot = session.manifest.robot_from_camera.as_ref();
+        let result = write_measured(
+            folder,
+            measured,
+            Method::Ml,
+            needle,
+            robot,
+            times,
+            self.begun,
+        )?;
+        let (settings, source) = needle.settings();
+        let page = report::assemble(report::Sources {
+            session,
+            calibrated: None,
+            camera: &self.camera,
+            measured,
+            angle_source: source.words(),
+            settings: report::settings(Method::Ml.name(), &settings),
+            puncture: Some(report::decided(&default_decision(), &Setup::default())),
+            truth: Vec::new(),
+            times,
+        })?;
+        report::write(&page, &folder.join("report.html"))?;
+        Ok(result)
+    }
 }
 
 /// Says what went wrong in a sweep, if anything did.
-pub fn complain(sweep: &crate::rig::acquisition::Sweep, out: &Output) {
+pub fn complain(sweep: &Sweep, waited: Duration, out: &Output) {
     for line in sweep.complaints() {
-        crate::progress::Progress::warn(out, &line);
+        out.warn(&line);
+    }
+    if waited.as_millis() > 0 {
+        out.warn(&format!(
+            "the disk kept the camera waiting for {:.2} s; frames that were lost are named above",
+            waited.as_secs_f64()
+        ));
     }
 }

@@ -79,7 +79,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         return Err(BadArgument("the laser goes on only with --laser".into()).into());
     }
     let stop = interrupted()?;
-    let board = open::board(&rig)?;
+    let mut board = open::board(&rig)?;
+    board.heed(stop);
     let config = rig.board_config(rig.camera.exposure_laser_ms);
     // A question or a stop must change nothing; what moves needs the configuration.
     let needs_config = matches!(

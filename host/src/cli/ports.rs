@@ -18,8 +18,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut found: Vec<Value> = Vec::new();
     for port in link::ports()? {
         let mut line = format!("{}  {}", port.path, port.description);
+        if let Some(id) = &port.usb_id {
+            line += &format!(" (USB {id})");
+        }
+        if let Some(number) = &port.serial_number {
+            line += &format!(", serial number {number}");
+        }
         let mut object = json!({
             "path": port.path, "description": port.description, "board": port.is_board,
+            "usb_id": port.usb_id, "serial_number": port.serial_number,
         });
         if port.is_board || args.all {
             match Board::connect(&port.path) {

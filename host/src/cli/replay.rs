@@ -3,14 +3,15 @@
 
 use super::Output;
 use super::job::{NeedleArgs, measurement_text};
-use super::live::{self, Live, complain};
+use super::live::{Live, complain};
 use super::rig::interrupted;
 use crate::output::{CalibrationFile, read_calibration};
-use crate::pipeline::{Method, Times, calibrate};
+use crate::pipeline::{Method, Times, belong_together, calibrate};
 use crate::progress::Progress;
 use crate::rig::acquisition::{Follow, Shot};
 use crate::rig::folder::{self, FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
 use crate::session::Session;
+use anyhow::Context;
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -26,7 +27,7 @@ pub struct Args {
     /// The rig's calibration; made from the recording if not given.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Write cloud.ply and result.json into this folder.
+    /// Write cloud.ply, result.json and report.html into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -53,6 +54,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             session.file().display()
         )
     })?;
+    let image = session.manifest.image;
+    let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
+    let weak = belong_together(
+        session.file(),
+        (image.width, image.height),
+        &model,
+        &calibration.positions(),
+        &positions,
+    )?;
     let mut live = Live::new(model);
     if let Some(ambient) = &scan.ambient {
         live.ambient(&folder::read(&session.path(ambient))?);
@@ -75,7 +85,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let played = follow.run(
         &mut ledger,
         recorded_anchor(&scan.frames),
-        &mut |trigger, picture| {
+        &mut |trigger, taken| {
             let slide_mm = scan
                 .frames
                 .get(trigger.index as usize)
@@ -86,31 +96,34 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 slide_mm,
                 trigger_us: trigger.time.0,
                 laser: trigger.laser,
-                picture,
+                picture: taken.picture,
+                arrived: taken.arrived,
             };
-            live.push(&shot, &shot.picture)?;
+            live.push(&shot);
             out.step();
             Ok(())
         },
     );
     out.finish();
     let (sweep, _) = played?;
-    complain(&sweep, out);
-    let (measured, after) = live.decide(entry, &args.needle)?;
+    complain(&sweep, Duration::ZERO, out);
+    let finished = live.decide(entry, &args.needle);
+    let mut finished = finished.with_context(|| session.file().display().to_string())?;
+    finished.warn(weak, &args.needle, out);
     if let Some(folder) = &args.out {
-        live::write(folder, &measured, &args.needle)?;
+        finished.write(folder, &session, &args.needle)?;
     }
+    let (measured, after) = (&finished.measured, finished.after.as_secs_f64() * 1000.0);
     let object = json!({
         "frames": sweep.shots, "faults": sweep.complaints(), "points": measured.cloud.len(),
-        "milliseconds_after_last_frame": after.as_secs_f64() * 1000.0,
+        "milliseconds_after_last_frame": after,
         "needle": { "axis": [measured.decision.needle.axis.x, measured.decision.needle.axis.y, measured.decision.needle.axis.z] },
     });
     out.result(&object, || {
         format!(
-            "{}\n{} frames; the result stood {:.1} ms after the last",
-            measurement_text(&measured),
+            "{}\n{} frames; the result stood {after:.1} ms after the last",
+            measurement_text(measured),
             sweep.shots,
-            after.as_secs_f64() * 1000.0
         )
     })
 }

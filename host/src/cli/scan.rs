@@ -3,16 +3,18 @@
 
 use super::Output;
 use super::job::{NeedleArgs, measurement_text};
-use super::live::{self, Live, complain};
+use super::live::{Live, complain};
 use super::rig::{RigArgs, interrupted, say_homed};
 use crate::output::read_calibration;
+use crate::pipeline::belong_together;
 use crate::progress::Progress;
 use crate::rig::acquisition::Acquisition;
-use crate::rig::capture;
+use crate::rig::capture::{self, Step};
 use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
-use crate::session::Entry;
+use crate::session::{Entry, Session};
 use crate::simulation::{Subject, Truth};
+use anyhow::Context;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -21,7 +23,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     #[command(flatten)]
     rig: RigArgs,
-    /// The folder to write into: session/, cloud.ply, result.json.
+    /// The folder to write into: session/, cloud.ply, result.json, report.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// The rig's calibration.
@@ -51,6 +53,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut entry = args.entry.as_deref().map(read_entry).transpose()?;
     let cancel = interrupted()?;
     let mut opened = open::open(&rig)?;
+    opened.board.heed(cancel);
     let Opened {
         board,
         camera,
@@ -77,10 +80,20 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         size.0,
         size.1
     );
-    say_homed(open::ready(board, &rig)?, &rig, out);
+    // Before anything moves: are the positions of the scan those that were calibrated?
+    let weak = belong_together(
+        &args.calibration,
+        size,
+        &model,
+        &calibration.positions(),
+        &rig.scan.positions(),
+    )?;
     let mut recording = Recording::open(&args.out.join("session"), size, &rig.geometry())?;
     recording.manifest.entry = Some(entry.clone());
-    let mut live = Live::new(model);
+    recording.scan_folder(args.force)?;
+    say_homed(open::ready(board, &rig)?, &rig, out);
+    let mut live = Some(Live::new(model));
+    let mut finished = None;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
     out.start("scan", rig.scan.count as usize);
     let scanned = capture::scan(
@@ -88,35 +101,44 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         &rig,
         &mut recording,
         args.force,
-        &mut |shot, picture| {
-            match shot {
-                None => live.ambient(picture),
-                Some(shot) => {
-                    live.push(shot, picture)?;
+        &mut |step| {
+            match (step, &mut live) {
+                (Step::Ambient(picture), Some(live)) => live.ambient(picture),
+                (Step::Shot(shot), Some(live)) => {
+                    live.push(shot);
                     out.step();
                 }
+                (Step::Swept, live) => {
+                    finished = live.take().map(|live| live.decide(&entry, &args.needle));
+                }
+                (_, None) => {}
             }
             Ok(())
         },
     );
     out.finish();
     let scanned = scanned?;
-    complain(&scanned.sweep, out);
-    let (measured, after) = live.decide(&entry, &args.needle)?;
-    let result = live::write(&args.out, &measured, &args.needle)?;
+    complain(&scanned.sweep, scanned.waited, out);
+    // The recording stands; now whether it gave an angle.
+    let finished = finished.unwrap_or_else(|| Err(anyhow::anyhow!("no frame arrived")));
+    let mut finished = finished.with_context(|| scanned.session.display().to_string())?;
+    finished.warn(weak, &args.needle, out);
+    let session = Session::open(recording.folder())?;
+    let result = finished.write(&args.out, &session, &args.needle)?;
+    let after = finished.after.as_secs_f64() * 1000.0;
     let object = json!({
         "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
         "faults": scanned.sweep.complaints(),
-        "milliseconds_after_last_frame": after.as_secs_f64() * 1000.0,
+        "clock": scanned.sweep.clock.map(|(offset_us, drift)| json!({ "offset_us": offset_us, "drift_ppm": drift * 1e6 })),
+        "milliseconds_after_last_frame": after,
         "result": result,
     });
     out.result(&object, || {
         format!(
-            "{}\n{} of {} frames; the result stood {:.1} ms after the last\nwritten: {}",
-            measurement_text(&measured),
+            "{}\n{} of {} frames; the result stood {after:.1} ms after the last\nwritten: {}",
+            measurement_text(&finished.measured),
             scanned.sweep.shots,
             scanned.sweep.planned,
-            after.as_secs_f64() * 1000.0,
             args.out.display()
         )
     })

@@ -13,10 +13,12 @@ use super::writer::WriteError;
 use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest, Trigger};
 use cannula_shared::plan::TriggerPlan;
 use cannula_shared::units::{Micros, Steps};
-use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+/// Frames that may wait for their lines of the ledger. Further ones stay with the camera, whose
+/// own buffers are bounded: memory is, too, and what they lose is found and named.
+const WAITING: usize = 64;
 /// How long one wait for a frame lasts while other things may happen.
 const SLICE: Duration = Duration::from_millis(20);
 /// How often a position or an anchor is tried before it is given up.
@@ -80,6 +82,34 @@ pub struct Shot {
     pub laser: bool,
     /// What the camera saw.
     pub picture: Picture,
+    /// When the picture was taken from the camera.
+    pub arrived: Instant,
+}
+
+/// A picture as it was taken from the camera.
+#[derive(Clone, Debug)]
+pub struct Taken {
+    /// What the camera saw.
+    pub picture: Picture,
+    /// When it was taken from the camera.
+    pub arrived: Instant,
+}
+
+impl Shot {
+    /// Of a trigger and its picture; `index` counts the positions of the sweep (a position that is
+    /// visited again has a trigger of its own).
+    fn new(rig: &Rig, index: u32, trigger: &Trigger, taken: Taken) -> Self {
+        let steps = i64::from(trigger.position.0);
+        Self {
+            index,
+            steps,
+            slide_mm: rig.mm(steps),
+            trigger_us: trigger.time.0,
+            laser: trigger.laser,
+            picture: taken.picture,
+            arrived: taken.arrived,
+        }
+    }
 }
 
 /// How a sweep went.
@@ -279,7 +309,7 @@ impl<'a> Acquisition<'a> {
             matcher.trigger(stamp_of(&trigger));
             matcher.complete();
             matcher.frame(frame_stamp(&frame));
-            let pair = matches!(matcher.decide(), Some((_, Decision::Pair(0))));
+            let pair = matches!(matcher.decide(), Some((_, _, Decision::Pair(0))));
             match frame.picture {
                 Some(picture) if pair => {
                     self.anchor = Some(Anchor::from_pair(trigger.time.0 as i64, frame.time_us));
@@ -352,15 +382,8 @@ impl<'a> Acquisition<'a> {
     }
 
     fn shot(&self, index: u32, trigger: &Trigger, picture: Picture) -> Shot {
-        let steps = i64::from(trigger.position.0);
-        Shot {
-            index,
-            steps,
-            slide_mm: self.rig.mm(steps),
-            trigger_us: trigger.time.0,
-            laser: trigger.laser,
-            picture,
-        }
+        let arrived = Instant::now();
+        Shot::new(self.rig, index, trigger, Taken { picture, arrived })
     }
 
     /// Carries out a sweep; `sink` sees each shot as soon as it is matched (re-shot ones last).
@@ -377,17 +400,8 @@ impl<'a> Acquisition<'a> {
             timeout: Duration::from_secs_f64(rig.camera.timeout_ms / 1000.0),
             laser: request.laser != ScanLaser::Off,
         };
-        let mut make = |trigger: &Trigger, picture: Picture| {
-            let steps = i64::from(trigger.position.0);
-            sink(Shot {
-                index: trigger.index,
-                steps,
-                slide_mm: rig.mm(steps),
-                trigger_us: trigger.time.0,
-                laser: trigger.laser,
-                picture,
-            })
-        };
+        let mut make =
+            |trigger: &Trigger, taken: Taken| sink(Shot::new(rig, trigger.index, trigger, taken));
         let (mut sweep, unpaired) = follow.run(&mut scan, anchor, &mut make)?;
         drop(scan);
         sweep.planned = request.count;
@@ -469,11 +483,12 @@ impl Follow<'_> {
         &mut self,
         ledger: &mut dyn Ledger,
         anchor: Anchor,
-        shot: &mut dyn FnMut(&Trigger, Picture) -> Result<(), AcquireError>,
+        shot: &mut dyn FnMut(&Trigger, Taken) -> Result<(), AcquireError>,
     ) -> Result<(Sweep, Vec<Trigger>), AcquireError> {
         let mut matcher = Matcher::new(anchor);
         let mut triggers: Vec<Trigger> = Vec::new();
-        let mut pictures: VecDeque<Option<Picture>> = VecDeque::new();
+        // Beside the matcher's waiting frames, in the same order.
+        let mut pictures: Vec<Option<Taken>> = Vec::new();
         let mut sweep = Sweep::default();
         let mut ended = false;
         let mut idle = Duration::ZERO;
@@ -502,17 +517,20 @@ impl Follow<'_> {
             }
             let wait = if ended { SLICE } else { Duration::ZERO };
             let mut any = false;
-            while let Some(frame) = self.camera.wait(if any { Duration::ZERO } else { wait })? {
+            while matcher.waiting() < WAITING
+                && let Some(frame) = self.camera.wait(if any { Duration::ZERO } else { wait })?
+            {
                 any = true;
                 matcher.frame(frame_stamp(&frame));
-                pictures.push_back(frame.picture);
+                let arrived = Instant::now();
+                pictures.push(frame.picture.map(|picture| Taken { picture, arrived }));
             }
-            while let Some((_, decision)) = matcher.decide() {
-                let picture = pictures.pop_front().flatten();
-                match (decision, picture) {
-                    (Decision::Pair(i), Some(picture)) => {
+            while let Some((at, _, decision)) = matcher.decide() {
+                let taken = pictures.remove(at);
+                match (decision, taken) {
+                    (Decision::Pair(i), Some(taken)) => {
                         sweep.shots += 1;
-                        if let Err(e) = shot(&triggers[i], picture) {
+                        if let Err(e) = shot(&triggers[i], taken) {
                             let _ = ledger.stop();
                             return Err(e);
                         }

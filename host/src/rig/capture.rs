@@ -68,6 +68,8 @@ pub enum LightOutcome {
         folder: String,
         /// How the sweep went.
         sweep: Sweep,
+        /// Time that the disk made the camera's side wait.
+        waited: Duration,
     },
     /// The board was not found in the image without laser; nothing was recorded.
     NotFound(NotFound),
@@ -156,20 +158,34 @@ pub fn light_pose(
         shown();
         Ok(())
     })?;
-    writer.finish()?;
+    let written = writer.finish()?;
     // A pose with few positions is worth keeping, one with hardly any is not.
     if sweep.shots == 0 || sweep.shots * 2 < request.count {
         return Err(too_few(&sweep));
     }
     recording.add_light(Some(off), frames)?;
-    Ok(LightOutcome::Taken { folder, sweep })
+    Ok(LightOutcome::Taken {
+        folder,
+        sweep,
+        waited: written.waited,
+    })
 }
 
-/// What looks at pictures as they come; an error ends the scan.
-pub type Live<'a> = dyn FnMut(Option<&Shot>, &Picture) -> Result<(), AcquireError> + 'a;
+/// What a scan shows while it is taken.
+#[derive(Debug)]
+pub enum Step<'a> {
+    /// The scene without laser.
+    Ambient(&'a Picture),
+    /// A shot, as soon as it is matched; positions that were visited again come last.
+    Shot(&'a Shot),
+    /// There is no further one. (The disk may still be writing.)
+    Swept,
+}
 
-/// Takes the scan of the hand. `live` sees the ambient picture (index `None`) and each shot as it
-/// comes.
+/// What looks at a scan as it is taken; an error ends it.
+pub type Live<'a> = dyn FnMut(Step) -> Result<(), AcquireError> + 'a;
+
+/// Takes the scan of the hand.
 pub fn scan(
     acquisition: &mut Acquisition,
     rig: &super::config::Rig,
@@ -182,7 +198,7 @@ pub fn scan(
     let ambient_shot = acquisition.still(0, false)?;
     let ambient = format!("{folder}/ambient.png");
     recording.write(&ambient, &ambient_shot.picture)?;
-    live(None, &ambient_shot.picture)?;
+    live(Step::Ambient(&ambient_shot.picture))?;
     let request = rig.scan_request();
     let mut writer = Recording::writer()?;
     let mut frames = Vec::new();
@@ -190,14 +206,15 @@ pub fn scan(
         let image = format!("{folder}/{:03}.png", shot.index);
         let path = recording.path(&image);
         frames.push(frame_of(&shot, image));
-        live(Some(&shot), &shot.picture)?;
+        live(Step::Shot(&shot))?;
         writer.push(path, shot.picture)?;
         Ok(())
     })?;
-    let written = writer.finish()?;
     if sweep.shots == 0 {
         return Err(too_few(&sweep));
     }
+    live(Step::Swept)?;
+    let written = writer.finish()?;
     recording.set_scan(Some(ambient), frames)?;
     Ok(Scanned {
         sweep,

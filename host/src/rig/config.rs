@@ -268,6 +268,15 @@ impl Default for Scan {
     }
 }
 
+impl Scan {
+    /// The slide's positions, mm.
+    pub fn positions(&self) -> Vec<f64> {
+        (0..self.count)
+            .map(|k| self.start_mm + self.spacing_mm * f64::from(k))
+            .collect()
+    }
+}
+
 impl Default for Simulation {
     fn default() -> Self {
         Self {

@@ -183,21 +183,30 @@ impl Matcher {
         self.taken.iter().all(Option::is_some)
     }
 
-    /// Decides on the oldest waiting frame, if the ledger reaches far enough.
-    pub fn decide(&mut self) -> Option<(FrameStamp, Decision)> {
-        let frame = *self.waiting.first()?;
-        let due = frame.time_us as f64 - self.anchor.offset_us;
+    /// Frames that wait for the ledger.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Decides on the oldest waiting frame that the ledger reaches. One whose time stamp lies far
+    /// ahead of the ledger does not hold up those that came after it. Gives its place among the
+    /// waiting, too.
+    pub fn decide(&mut self) -> Option<(usize, FrameStamp, Decision)> {
+        let newest = self.triggers.last().map(|t| t.time_us as f64);
+        let at = self.waiting.iter().position(|frame| {
+            let due = self.due(frame);
+            // A frame may overtake its own line of the ledger.
+            self.complete || newest.is_some_and(|t| t > due + self.tolerance(due))
+        })?;
+        let frame = self.waiting.remove(at);
+        let due = self.due(&frame);
         let tolerance = self.tolerance(due);
-        let reached = self
-            .triggers
-            .last()
-            .is_some_and(|t| t.time_us as f64 > due + tolerance);
-        if !reached && !self.complete {
-            // The frame may overtake its own line of the ledger.
-            return None;
-        }
-        self.waiting.remove(0);
-        Some((frame, self.place(&frame, due, tolerance)))
+        Some((at, frame, self.place(&frame, due, tolerance)))
+    }
+
+    /// When the frame's trigger should have fired, µs of the board's clock.
+    fn due(&self, frame: &FrameStamp) -> f64 {
+        frame.time_us as f64 - self.anchor.offset_us
     }
 
     fn tolerance(&self, board_us: f64) -> f64 {
@@ -472,7 +481,7 @@ mod tests {
             }
             prop_assert_eq!(decisions.len(), case.frames.len());
             let mut paired = vec![false; case.triggers.len()];
-            for ((stamp, decision), (frame, k)) in decisions.iter().zip(&case.frames) {
+            for ((_, stamp, decision), (frame, k)) in decisions.iter().zip(&case.frames) {
                 prop_assert_eq!(stamp, frame);
                 let k32 = *k as u32;
                 match (decision, case.fates[*k]) {
@@ -562,11 +571,37 @@ mod tests {
             frames_of(&triggers, |k| k % 2 == odd)
                 .into_iter()
                 .for_each(|f| m.frame(f));
-            while let Some((frame, decision)) = m.decide() {
+            while let Some((_, frame, decision)) = m.decide() {
                 assert_eq!(decision, Decision::Pair(2 * frame.sequence as usize + odd));
             }
             assert!(m.unpaired().all(|t| t.index as usize % 2 != odd));
         }
+    }
+
+    #[test]
+    fn a_stamp_far_ahead_holds_up_nobody() {
+        let triggers = even(8, 40_000, 1_000_000);
+        let mut m = Matcher::new(Anchor::from_pair(900_000, 5_900_000));
+        let wild = FrameStamp {
+            sequence: 99,
+            time_us: 60_000_000,
+            whole: true,
+        };
+        m.frame(wild);
+        for (t, f) in triggers.iter().zip(frames_of(&triggers, |_| true)) {
+            m.trigger(*t);
+            m.frame(f);
+        }
+        // All but the last, which the ledger has not passed, while the scan still runs.
+        for k in 0..7 {
+            let (at, _, decision) = m.decide().unwrap();
+            assert_eq!((at, decision), (1, Decision::Pair(k)));
+        }
+        assert!(m.decide().is_none());
+        m.complete();
+        let stray = Decision::Fault(Fault::Stray { sequence: 99 });
+        assert_eq!(m.decide(), Some((0, wild, stray)));
+        assert!(matches!(m.decide(), Some((0, _, Decision::Pair(7)))));
     }
 
     #[test]
@@ -581,7 +616,7 @@ mod tests {
             .into_iter()
             .for_each(|f| m.frame(f));
         let mut strays = 0;
-        while let Some((_, decision)) = m.decide() {
+        while let Some((_, _, decision)) = m.decide() {
             strays += usize::from(matches!(decision, Decision::Fault(Fault::Stray { .. })));
         }
         assert!(strays >= 29, "{strays}");

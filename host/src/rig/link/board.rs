@@ -83,6 +83,7 @@ pub struct Board {
     hello: Hello,
     end: Arc<AtomicBool>,
     heartbeat: Option<JoinHandle<()>>,
+    cancel: Option<&'static AtomicBool>,
 }
 
 /// What homing found.
@@ -138,7 +139,14 @@ impl Board {
             hello,
             end,
             heartbeat,
+            cancel: None,
         })
+    }
+
+    /// From now on, once `cancel` is true, whatever moves is stopped (and [`LinkError::Stopped`]
+    /// returned).
+    pub fn heed(&mut self, cancel: &'static AtomicBool) {
+        self.cancel = Some(cancel);
     }
 
     fn core(&self) -> MutexGuard<'_, Core> {
@@ -250,7 +258,12 @@ impl Board {
         doing: &'static str,
         mut other: impl FnMut(Incoming),
     ) -> Result<Steps> {
+        let mut stopped = false;
         loop {
+            if !stopped && self.cancel.is_some_and(|c| c.load(Ordering::Relaxed)) {
+                stopped = true;
+                self.stop()?;
+            }
             match self.next(Micros(20_000))? {
                 Incoming::Event(Event::JobEnd {
                     job: ended,

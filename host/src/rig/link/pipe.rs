@@ -85,8 +85,12 @@ impl Pipe for SerialPipe {
 pub struct PortDescription {
     /// What to give to `--port`.
     pub path: String,
-    /// What it is, as far as the system knows: maker, product, serial number.
+    /// What it is, as far as the system knows: maker and product.
     pub description: String,
+    /// USB vendor and product, as `16c0:27dd`.
+    pub usb_id: Option<String>,
+    /// The USB serial number, which tells boards apart.
+    pub serial_number: Option<String>,
     /// Whether it calls itself Cannula's board.
     pub is_board: bool,
 }
@@ -97,24 +101,28 @@ pub fn ports() -> Result<Vec<PortDescription>, LinkError> {
     let mut ports: Vec<PortDescription> = found
         .into_iter()
         .map(|port| {
-            let (description, is_board) = match port.port_type {
-                SerialPortType::UsbPort(usb) => {
-                    let words = [usb.manufacturer, usb.product, usb.serial_number];
+            let plain = |words: &str| PortDescription {
+                path: port.port_name.clone(),
+                description: words.into(),
+                usb_id: None,
+                serial_number: None,
+                is_board: false,
+            };
+            match port.port_type {
+                SerialPortType::UsbPort(ref usb) => {
+                    let words = [&usb.manufacturer, &usb.product].map(|w| w.as_deref());
                     let text = words.into_iter().flatten().collect::<Vec<_>>().join(" ");
                     let is_board = text.to_lowercase().contains("cannula");
-                    (
-                        format!("{text} (USB {:04x}:{:04x})", usb.vid, usb.pid),
+                    PortDescription {
+                        usb_id: Some(format!("{:04x}:{:04x}", usb.vid, usb.pid)),
+                        serial_number: usb.serial_number.clone(),
                         is_board,
-                    )
+                        ..plain(&text)
+                    }
                 }
-                SerialPortType::BluetoothPort => ("Bluetooth".into(), false),
-                SerialPortType::PciPort => ("built in".into(), false),
-                SerialPortType::Unknown => ("unknown".into(), false),
-            };
-            PortDescription {
-                path: port.port_name,
-                description: description.trim().into(),
-                is_board,
+                SerialPortType::BluetoothPort => plain("Bluetooth"),
+                SerialPortType::PciPort => plain("built in"),
+                SerialPortType::Unknown => plain("unknown"),
             }
         })
         .collect();

@@ -1,0 +1,105 @@
+//! The program as a process of its own: this test binary started again, running the command line.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Where the arguments of the started program stand, a line each.
+const ARGUMENTS: &str = "CANNULA_TEST_ARGUMENTS";
+
+/// To be called by a test of the name `the_program` in every binary that uses [`start`]: does
+/// nothing in an ordinary run, and becomes the program in a started one.
+pub fn become_it() {
+    if let Ok(arguments) = std::env::var(ARGUMENTS) {
+        let words = ["cannula"].into_iter().chain(arguments.lines());
+        std::process::exit(cannula::cli::main(words.map(Into::into)).into());
+    }
+}
+
+/// Starts the program with these arguments; what it says is kept.
+pub fn start(arguments: &[&str]) -> Child {
+    Command::new(std::env::current_exe().expect("this test has a file"))
+        .args(["the_program", "--exact", "--nocapture", "--test-threads=1"])
+        .env(ARGUMENTS, arguments.join("\n"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts")
+}
+
+/// How the program ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Exit status; `None` if a signal ended it.
+    pub status: Option<i32>,
+    /// Standard output, with the test harness's lines around it.
+    pub out: String,
+    /// Standard error.
+    pub said: String,
+}
+
+/// Runs it to its end: exit status and what it said on standard error.
+pub fn run(arguments: &[&str]) -> (Option<i32>, String) {
+    wait(start(arguments), Duration::from_secs(300))
+}
+
+/// Sends a signal (`INT`, `TERM`, `KILL`).
+pub fn signal(child: &Child, name: &str) {
+    let sent = Command::new("kill")
+        .args([format!("-{name}"), child.id().to_string()])
+        .status()
+        .expect("there is kill");
+    assert!(sent.success());
+}
+
+/// Waits for the end within `limit`: exit status and what it said on standard error.
+pub fn wait(child: Child, limit: Duration) -> (Option<i32>, String) {
+    let ended = wait_output(child, limit);
+    (ended.status, ended.said)
+}
+
+/// The same with standard output. (What the commands say fits into a pipe.)
+pub fn wait_output(mut child: Child, limit: Duration) -> Ended {
+    let began = Instant::now();
+    while child.try_wait().expect("a child").is_none() {
+        if began.elapsed() > limit {
+            let _ = child.kill();
+            panic!(
+                "it did not end within {limit:?}: {:?}",
+                child.wait_with_output()
+            );
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let output = child.wait_with_output().expect("it has ended");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let said = text(&output.stderr);
+    assert!(!said.contains("panicked"), "{said}");
+    Ended {
+        status: output.status.code(),
+        out: text(&output.stdout),
+        said,
+    }
+}
+
+/// Every image below `folder` can be decoded, nothing half-written lies about, and a session.json
+/// that stands is sound. Gives the number of images.
+pub fn whole(folder: &Path) -> usize {
+    let mut images = 0;
+    for entry in std::fs::read_dir(folder).into_iter().flatten() {
+        let path = entry.expect("a folder's entry").path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if path.is_dir() {
+            images += whole(&path);
+        } else if name.ends_with(".png") {
+            cannula::session::decode(&path).unwrap_or_else(|e| panic!("{e}"));
+            images += 1;
+        } else if name == "session.json" {
+            cannula::session::Session::open(folder).unwrap_or_else(|e| panic!("{e}"));
+        } else {
+            panic!("{} lies about", path.display());
+        }
+    }
+    images
+}

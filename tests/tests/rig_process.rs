@@ -1,0 +1,278 @@
+//! The program as a process of its own beside a board that lives on: Ctrl-C, a kill, a full disk.
+//! The board (simulated, in real time, behind a pseudo-terminal) is looked at from outside.
+#![cfg(unix)]
+
+use cannula::rig::config::Rig;
+use cannula::rig::link::Board;
+use cannula::rig::open;
+use cannula::simulation::mcu::{Pin, RealTime};
+use cannula_shared::units::CYCLES_PER_MICRO;
+use cannula_tests::program::{self, signal, start, wait, whole};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::time::{Duration, Instant};
+
+/// See [`program::become_it`].
+#[test]
+fn the_program() {
+    program::become_it();
+}
+
+/// Ample on a loaded machine.
+const LIMIT: Duration = Duration::from_secs(60);
+/// From a signal to the laser's edge: a process that is scheduled, a round of the link.
+const PROMPT_US: u64 = 150_000;
+/// The lease of the laser is 100 ms, the host's silence is noticed after 200 ms (both of the
+/// default configuration), each on a loaded machine.
+const LEASE_US: u64 = 400_000;
+
+/// A board, a configuration for it, and a folder.
+struct Bench {
+    real: RealTime,
+    folder: tempfile::TempDir,
+    config: PathBuf,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let real = RealTime::start(open::simulated_board(&Rig::default())).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("rig.toml");
+        let text = format!(
+            "[board]\nport = {:?}\nhoming_fast_mm_s = 40.0\n\
+             [scan]\nstart_mm = 10.0\nspacing_mm = 1.0\ncount = 60\nspeed_mm_s = 10.0\n\
+             [simulation]\nseed = 6\nprofile = \"tiny\"\n",
+            real.path()
+        );
+        std::fs::write(&config, text).unwrap();
+        Self {
+            real,
+            folder,
+            config,
+        }
+    }
+
+    /// With the rig's configuration behind the command's words.
+    fn start(&self, words: &[&str]) -> Child {
+        start(&[words, &["--config", self.config.to_str().unwrap()]].concat())
+    }
+
+    fn run(&self, words: &[&str]) -> (Option<i32>, String) {
+        wait(self.start(words), LIMIT)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn rises(&self, pin: Pin) -> usize {
+        self.real.board().board().trace().rises(pin).count()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.real.board().board().now().0 / CYCLES_PER_MICRO
+    }
+
+    /// Waits until the board has done it.
+    fn until(&self, child: &mut Child, what: &str, mut done: impl FnMut() -> bool) {
+        let began = Instant::now();
+        while !done() {
+            let ended = child.try_wait().unwrap();
+            assert!(
+                ended.is_none() && began.elapsed() < LIMIT,
+                "{what}: {ended:?}"
+            );
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    /// The laser has gone off for good within `limit` of `since`, and the slide stands.
+    fn safe(&self, since: u64, limit: u64) {
+        std::thread::sleep(Duration::from_millis(100));
+        let (off, slide) = {
+            let mut board = self.real.board().board();
+            assert!(!board.level(Pin::Laser));
+            let off = board.trace().falls(Pin::Laser).last().unwrap_or(0);
+            (off / CYCLES_PER_MICRO, board.rig().slide)
+        };
+        println!("laser off {} µs after", off as i64 - since as i64);
+        assert!(off < since + limit, "{} µs", off - since);
+        std::thread::sleep(Duration::from_millis(200));
+        let mut board = self.real.board().board();
+        assert!(!board.level(Pin::Laser));
+        assert_eq!(board.rig().slide, slide, "the slide stands");
+    }
+}
+
+/// A calibration of the committed recording, whose images are as large as the tiny scene's.
+fn calibration(bench: &Bench) -> String {
+    let path = bench.path("calibration.json");
+    let session = cannula_tests::truth::committed("tiny-1001");
+    let (status, said) = program::run(&["calibrate", session.to_str().unwrap(), "--out", &path]);
+    assert_eq!(status, Some(0), "{said}");
+    path
+}
+
+#[test]
+fn ctrl_c_in_the_middle_of_a_scan() {
+    let bench = Bench::new();
+    let (out, calibration) = (bench.path("scan"), calibration(&bench));
+    let mut child = bench.start(&["scan", "--out", &out, "--calibration", &calibration]);
+    // Three are at rest: the clocks' anchor and the ambient image.
+    bench.until(&mut child, "a scan under way", || {
+        bench.rises(Pin::Trigger) >= 12
+    });
+    let since = bench.now_us();
+    signal(&child, "INT");
+    let (status, said) = wait(child, LIMIT);
+    assert_eq!(status, Some(1), "{said}");
+    assert!(said.contains("interrupted"), "{said}");
+    bench.safe(since, PROMPT_US);
+    let images = whole(&Path::new(&out).join("session"));
+    assert!((3..60).contains(&images), "{images}");
+    assert!(!Path::new(&out).join("result.json").exists());
+    let status = Board::connect(bench.real.path()).unwrap().status().unwrap();
+    assert!(
+        status.position_known && !status.moving && !status.laser,
+        "{status:?}"
+    );
+
+    // The same command again is not in its own way, and ends.
+    let (status, said) = bench.run(&["scan", "--out", &out, "--calibration", &calibration]);
+    // The calibration is of another scene's rig: an angle, or a sentence why there is none.
+    assert!(status == Some(0) || said.contains("session.json"), "{said}");
+    let session = cannula::session::Session::open(&Path::new(&out).join("session")).unwrap();
+    assert_eq!(session.manifest.scan.unwrap().frames.len(), 60);
+}
+
+#[test]
+fn a_killed_program_leaves_the_laser_off_and_what_was_recorded() {
+    let bench = Bench::new();
+    let out = bench.path("session");
+    let (status, said) = bench.run(&["capture", "camera", "--poses", "2", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    let mut child = bench.start(&["capture", "scan", "--out", &out]);
+    let before = bench.rises(Pin::Trigger);
+    bench.until(&mut child, "a scan under way", || {
+        bench.rises(Pin::Trigger) >= before + 12
+    });
+    let since = bench.now_us();
+    signal(&child, "KILL");
+    assert_eq!(wait(child, LIMIT).0, None);
+    std::thread::sleep(Duration::from_micros(LEASE_US));
+    bench.safe(since, LEASE_US);
+    // What had been recorded stands, and the recording goes on.
+    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    assert_eq!(session.manifest.camera.len(), 2);
+    assert!(session.manifest.scan.is_none());
+    let rearmed = bench.run(&["motion", "rearm"]);
+    assert_eq!(rearmed.0, Some(0), "{}", rearmed.1);
+    let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    let manifest = &session.manifest;
+    assert_eq!(manifest.scan.as_ref().unwrap().frames.len(), 60);
+    assert_eq!(manifest.camera.len(), 2);
+}
+
+#[test]
+fn ctrl_c_stops_what_moves_and_what_shines() {
+    let bench = Bench::new();
+    // Homing: 21 mm to go at 40 mm/s.
+    let mut child = bench.start(&["motion", "home"]);
+    let begun = bench.real.board().board().rig().slide;
+    bench.until(&mut child, "homing", || {
+        bench.real.board().board().rig().slide < begun - 800
+    });
+    signal(&child, "INT");
+    let (status, said) = wait(child, LIMIT);
+    assert_eq!(status, Some(1), "{said}");
+    assert!(said.contains("stopped"), "{said}");
+    let slide = bench.real.board().board().rig().slide;
+    assert!(slide > 800, "stopped on the way: {slide} steps from home");
+    bench.safe(bench.now_us(), 0);
+
+    let (status, said) = bench.run(&["motion", "home"]);
+    assert_eq!(status, Some(0), "{said}");
+    let mut child = bench.start(&["motion", "laser", "--laser"]);
+    bench.until(&mut child, "the laser", || {
+        bench.real.board().board().level(Pin::Laser)
+    });
+    let since = bench.now_us();
+    signal(&child, "TERM");
+    let (status, said) = wait(child, LIMIT);
+    assert_eq!(status, Some(0), "{said}");
+    bench.safe(since, PROMPT_US);
+}
+
+/// A file system of its own, of so many kilobytes; `None` where it can't be mounted.
+struct Disk(PathBuf);
+
+impl Disk {
+    fn mount(at: &Path, kilobytes: u32) -> Option<Self> {
+        std::fs::create_dir_all(at).unwrap();
+        let size = format!("size={kilobytes}k");
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &size, "tmpfs"])
+            .arg(at)
+            .output()
+            .is_ok_and(|o| o.status.success());
+        if !mounted {
+            println!("skipped:no-mount");
+        }
+        mounted.then(|| Self(at.to_owned()))
+    }
+
+    fn grow(&self, kilobytes: u32) {
+        let grown = Command::new("mount")
+            .args(["-o", &format!("remount,size={kilobytes}k")])
+            .arg(&self.0)
+            .status();
+        assert!(grown.is_ok_and(|s| s.success()));
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+#[test]
+fn a_full_disk_stops_the_scan_with_the_laser_off_and_files_whole() {
+    let bench = Bench::new();
+    let out = bench.path("disk");
+    // An image of the tiny scene takes some 50 kB: two poses, and a part of the scan.
+    let Some(disk) = Disk::mount(Path::new(&out), 600) else {
+        return;
+    };
+    let (status, said) = bench.run(&["capture", "camera", "--poses", "2", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
+    let full_at = bench.now_us();
+    assert_eq!(status, Some(1), "{said}");
+    assert!(
+        said.contains("/disk/scan/") && said.contains("No space left on device"),
+        "{said}"
+    );
+    assert_eq!(
+        said.trim().lines().count(),
+        2,
+        "one sentence, after the camera's name: {said}"
+    );
+    bench.safe(full_at, 0);
+    let images = whole(Path::new(&out));
+    assert!((3..62).contains(&images), "{images}");
+    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    assert_eq!(session.manifest.camera.len(), 2);
+    assert!(session.manifest.scan.is_none());
+
+    // With room again it goes on where it was broken off.
+    disk.grow(60_000);
+    let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    assert_eq!(session.manifest.scan.as_ref().unwrap().frames.len(), 60);
+    assert_eq!(session.manifest.camera.len(), 2);
+    whole(Path::new(&out));
+}
