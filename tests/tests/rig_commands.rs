@@ -122,6 +122,16 @@ fn a_recording_in_parts_leads_to_the_needle() {
         ]),
         0
     );
+    let page = std::fs::read_to_string(dir.path().join("live/report.html")).unwrap();
+    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+    let recorded = json(&dir.path().join("live/session/session.json"));
+    let positions: Vec<f64> = recorded["scan"]["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| f["slide_mm"].as_f64().unwrap())
+        .collect();
+    assert!(positions.len() == 31 && positions.is_sorted());
     let scene = cannula::simulation::Scene::new(cannula::simulation::Profile::Tiny, 6);
     let truth = cannula::simulation::Truth::new(&scene).unwrap();
     let result = json(&dir.path().join("live/result.json"));

@@ -235,3 +235,60 @@ pub fn complain(sweep: &Sweep, waited: Duration, out: &Output) {
         ));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::calibrate;
+    use crate::progress::Silent;
+    use crate::rig::folder;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        needle: NeedleArgs,
+    }
+
+    /// A position that was shot again comes last; cloud and needle must not know.
+    #[test]
+    fn frames_that_come_out_of_order_give_the_same_needle() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/tiny-1001");
+        let session = Session::open(&path).unwrap();
+        let rig = calibrate(&session, Method::Ml, &Times::default(), &Silent)
+            .unwrap()
+            .rig()
+            .unwrap();
+        let scan = session.manifest.scan.as_ref().unwrap();
+        let entry = session.manifest.entry.as_ref().unwrap();
+        let needle = Line::parse_from(["needle"]).needle;
+        let measure = |order: &[usize]| {
+            let mut live = Live::new(rig.clone());
+            live.ambient(&folder::read(&session.path(scan.ambient.as_ref().unwrap())).unwrap());
+            for &i in order {
+                let frame = &scan.frames[i];
+                live.push(&Shot {
+                    index: i as u32,
+                    steps: 0,
+                    slide_mm: frame.slide_mm,
+                    trigger_us: 0,
+                    laser: true,
+                    picture: folder::read(&session.path(&frame.image)).unwrap(),
+                    arrived: Instant::now(),
+                });
+            }
+            live.decide(entry, &needle).unwrap().measured
+        };
+        let straight: Vec<usize> = (0..scan.frames.len()).collect();
+        let middle = straight.len() / 2;
+        let mut again = straight.clone();
+        again.retain(|i| ![middle, middle + 3].contains(i));
+        again.extend([middle, middle + 3]);
+        let (a, b) = (measure(&straight), measure(&again));
+        assert_eq!(a.cloud, b.cloud);
+        assert_eq!(a.counts, b.counts);
+        assert_eq!(a.decision.entry, b.decision.entry);
+        assert_eq!(a.decision.plane.normal, b.decision.plane.normal);
+        assert_eq!(a.decision.needle.axis, b.decision.needle.axis);
+    }
+}
