@@ -53,7 +53,7 @@ fn memory_stays_bounded_and_the_wait_is_told() {
             println!(
                 "{} MB of {} MB",
                 grown >> 20,
-                u64::from(count) * 1280 * 960 >> 20
+                (u64::from(count) * 1280 * 960) >> 20
             );
             assert!(grown < 2 * pictures * (WIDTH * HEIGHT) as u64, "{grown}");
         }
