@@ -327,9 +327,15 @@ fn segment(fits: &[Fit], settings: &HandSettings, sparse: bool) -> Option<Segmen
             .collect();
         curve = Curve::fit(&good);
         let Some(curve) = &curve else { break };
+        let mut changed = false;
         for (k, s) in keep.iter_mut().zip(&all) {
             let e = s.v - curve.at(s.u).v;
-            *k = e * e < OUTLIER * OUTLIER * s.variance * curve.scatter.scale;
+            let good = e * e < OUTLIER * OUTLIER * s.variance * curve.scatter.scale;
+            changed |= good != *k;
+            *k = good;
+        }
+        if !changed {
+            break;
         }
     }
     let scatter = curve.as_ref().map_or(Scatter::USUAL, |c| c.scatter);
