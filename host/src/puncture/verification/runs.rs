@@ -87,6 +87,7 @@ fn peak(angle: f64, numerics: Numerics) -> f64 {
     summary(&run(&Setup::default(), angle, &numerics)).peak_force_n
 }
 
+/// The whole table, minutes of it, is `cannula puncture --convergence`.
 #[test]
 fn the_peak_stands_when_step_or_brick_is_halved() {
     let default = Numerics::default();
@@ -112,24 +113,6 @@ fn the_peak_stands_when_step_or_brick_is_halved() {
         .collect();
     assert!((peaks[1] / peaks[2] - 1.0).abs() < 0.03, "{peaks:?}");
     assert!((peaks[0] / peaks[3] - 1.0).abs() < 0.1, "{peaks:?}");
-}
-
-/// Minutes long, hence not by default; `cannula puncture --convergence` prints the table.
-#[test]
-#[ignore = "takes minutes: cargo test --release halving_the_brick -- --ignored"]
-fn halving_the_brick_moves_the_peak_by_less_than_a_tenth() {
-    let default = Numerics::default();
-    let half = Numerics {
-        h_mm: 0.5 * default.h_mm,
-        ..default
-    };
-    for angle in [30.0, 45.0, 60.0] {
-        let (coarse, fine) = (peak(angle, default), peak(angle, half));
-        assert!(
-            (fine / coarse - 1.0).abs() < 0.1,
-            "{angle}: {coarse} {fine}"
-        );
-    }
 }
 
 #[test]
