@@ -272,7 +272,11 @@ impl<const N: usize> Feed<N> {
         channel
             .write_addr()
             .write_value(self.fifo().as_ptr() as u32);
+        #[cfg(feature = "rp2040")]
         channel.trans_count().write(|w| *w = count as u32);
+        // Mode 0: once.
+        #[cfg(feature = "rp2350")]
+        channel.trans_count().write(|w| w.set_count(count as u32));
         // The words are in memory before the DMA is told of them.
         compiler_fence(Ordering::SeqCst);
         cortex_m::asm::dmb();

@@ -11,6 +11,7 @@
 
 use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_rp::Peri;
+#[cfg(feature = "rp2040")]
 use embassy_rp::flash::{Blocking, Flash};
 use embassy_rp::interrupt::{self, InterruptExt, Priority};
 use embassy_rp::pac;
@@ -84,6 +85,7 @@ pub fn enable() {
 
 /// The flash chip's unique number; zero where there is no boot ROM to read it with (an emulator).
 /// Read once, at boot: the flash is not mapped meanwhile.
+#[cfg(feature = "rp2040")]
 pub fn flash_number(flash: Peri<'static, FLASH>) -> [u8; 8] {
     // SAFETY: 0x10 to 0x13 lie in the boot ROM, which is mapped always; it holds the letters "Mu"
     // and a version there (RP2040 datasheet, 2.8.3). Reading it has no effect.
@@ -96,6 +98,12 @@ pub fn flash_number(flash: Peri<'static, FLASH>) -> [u8; 8] {
         }
     }
     number
+}
+
+/// The chip's own number; zero where it cannot be read.
+#[cfg(feature = "rp2350")]
+pub fn flash_number(_: Peri<'static, FLASH>) -> [u8; 8] {
+    embassy_rp::otp::get_chipid().map_or([0; 8], u64::to_be_bytes)
 }
 
 #[embassy_rp::interrupt]

@@ -116,7 +116,7 @@ fn log(state: State) {
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    let p = embassy_rp::init(embassy_rp::config::Config::default());
+    let p = embassy_rp::init(chip());
     // Driver off before anything else; the laser's pin is low by its pull-down since power-on.
     let pins: BoardPins = Pins {
         enable: Output::new(p.PIN_4, Level::High),
@@ -174,6 +174,21 @@ async fn main(spawner: Spawner) {
     let keeper = roll::Keeper::start(Watchdog::new(p.WATCHDOG));
     // One place, taken once.
     let _ = control(board, Hardware::new(), keeper).map(|task| spawner.spawn(task));
+}
+
+/// The chip's clocks: 125 MHz, to which every time on the wire and in the plans refers.
+#[cfg(feature = "rp2040")]
+fn chip() -> embassy_rp::config::Config {
+    embassy_rp::config::Config::default()
+}
+
+/// The same: a Pico 2 would run at 150 MHz by itself.
+#[cfg(feature = "rp2350")]
+fn chip() -> embassy_rp::config::Config {
+    match embassy_rp::clocks::ClockConfig::system_freq(cannula_shared::units::CLOCK_HZ) {
+        Ok(clocks) => embassy_rp::config::Config::new(clocks),
+        Err(_) => safe_state::reset(Cause::Panic, line!()),
+    }
 }
 
 /// A part of the version, which is a small decimal number.

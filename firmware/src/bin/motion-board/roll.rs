@@ -89,12 +89,25 @@ pub fn reset_reason() -> ResetReason {
     if watchdog.force() {
         return ResetReason::Software;
     }
-    let chip = pac::VREG_AND_CHIP_RESET.chip_reset().read();
-    if chip.had_psm_restart() {
+    #[cfg(feature = "rp2040")]
+    let (debugger, pin, power) = {
+        let chip = pac::VREG_AND_CHIP_RESET.chip_reset().read();
+        (chip.had_psm_restart(), chip.had_run(), chip.had_por())
+    };
+    #[cfg(feature = "rp2350")]
+    let (debugger, pin, power) = {
+        let chip = pac::POWMAN.chip_reset().read();
+        (
+            chip.had_dp_reset_req() || chip.had_hzd_sys_reset_req(),
+            chip.had_run_low() || chip.had_bor(),
+            chip.had_por(),
+        )
+    };
+    if debugger {
         ResetReason::Debugger
-    } else if chip.had_run() {
+    } else if pin {
         ResetReason::Pin
-    } else if chip.had_por() {
+    } else if power {
         ResetReason::PowerOn
     } else {
         ResetReason::Unknown

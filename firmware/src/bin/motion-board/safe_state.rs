@@ -68,10 +68,12 @@ pub fn reset(cause: Cause, detail: u32) -> ! {
     cortex_m::interrupt::disable();
     force_pins();
     note(cause, detail);
-    // All but the oscillators, as embassy's watchdog does it.
-    pac::PSM
-        .wdsel()
-        .write_value(pac::psm::regs::Wdsel(0x0001_fffc));
+    // All but the oscillators.
+    #[cfg(feature = "rp2040")]
+    const ALL: u32 = 0x0001_fffc;
+    #[cfg(feature = "rp2350")]
+    const ALL: u32 = 0x01ff_fff3;
+    pac::PSM.wdsel().write_value(pac::psm::regs::Wdsel(ALL));
     pac::WATCHDOG.ctrl().write(|w| w.set_trigger(true));
     loop {
         cortex_m::asm::nop();
