@@ -20,6 +20,7 @@ pub mod board;
 pub mod calibration;
 pub mod cli;
 pub mod cloud;
+pub mod doctor;
 pub mod geometry;
 pub mod image;
 pub mod needle;

@@ -1,7 +1,9 @@
 //! `cannula angle SESSION --calibration FILE --out DIR`: cloud, plane, angle and needle axis.
 
 use super::Output;
-use super::job::{MethodName, NeedleArgs, measure_and_write, measurement_text, needs_scan};
+use super::job::{
+    MethodName, NeedleArgs, measure_and_write, measurement_text, needs_scan, write_report,
+};
 use crate::output::read_calibration;
 use crate::pipeline::Times;
 use crate::session::Session;
@@ -38,15 +40,27 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             args.calibration.display()
         );
     }
+    let (method, times) = (args.method.into(), Times::default());
     let (result, measured) = measure_and_write(
         &session,
         &calibration,
-        args.method.into(),
+        method,
         &args.needle,
         &args.out,
-        &Times::default(),
+        &times,
         begun,
         out,
+    )?;
+    write_report(
+        &session,
+        None,
+        &calibration,
+        &measured,
+        method,
+        &args.needle,
+        Vec::new(),
+        &times,
+        &args.out,
     )?;
     out.result(&result, || {
         format!(

@@ -3,15 +3,13 @@
 //! and the same pipeline as with hardware; then the errors against the truth.
 
 use super::Output;
-use super::job::{NeedleArgs, calibration_text, measure_and_write, measurement_text};
+use super::job::{NeedleArgs, calibration_text, measure_and_write, measurement_text, write_report};
 use super::live::complain;
 use super::rig::{interrupted, say_homed};
 use crate::calibration::LightModel;
 use crate::output::{CalibrationFile, write_json};
 use crate::pipeline::{Method, Times, calibrate};
 use crate::progress::Progress;
-use crate::puncture::default_decision;
-use crate::puncture::tissue::Setup;
 use crate::report;
 use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{LightOutcome, PoseOutcome, Step, camera_pose, light_pose, scan};
@@ -100,27 +98,23 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             cloud: &cloud,
         },
     );
-    let (settings, source) = args.needle.settings();
-    let page = report::assemble(report::Sources {
-        session: &session,
-        calibrated: Some(&calibrated),
-        camera: &calibrated.camera,
-        measured: &measured,
-        angle_source: source.words(),
-        settings: report::settings(Method::Ml.name(), &settings),
-        puncture: Some(report::decided(&default_decision(), &Setup::default())),
-        truth: errors
-            .iter()
-            .map(|e| report::TruthRow {
-                what: e.quantity.to_owned(),
-                error: e.error,
-                unit: e.unit.to_owned(),
-                limit: None,
-            })
-            .collect(),
-        times: &times,
-    })?;
-    report::write(&page, &args.out.join("report.html"))?;
+    let truth_rows = errors.iter().map(|e| report::TruthRow {
+        what: e.quantity.to_owned(),
+        error: e.error,
+        unit: e.unit.to_owned(),
+        limit: None,
+    });
+    write_report(
+        &session,
+        Some(&calibrated),
+        &calibration,
+        &measured,
+        Method::Ml,
+        &args.needle,
+        truth_rows.collect(),
+        &times,
+        &args.out,
+    )?;
     let seconds = begun.elapsed().as_secs_f64();
     let object = serde_json::json!({
         "seed": args.seed, "profile": args.profile.name(),

@@ -1,10 +1,15 @@
 //! What `calibrate`, `angle` and `process` share: arguments, writing, the summary.
 
 use super::Output;
+pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
 use crate::needle;
-use crate::output::{AngleSource, CalibrationFile, ResultFile, write_json, write_whole};
-use crate::pipeline::{Calibrated, Measurement, Method, Stage, Times, measure};
+use crate::output::{
+    AngleSource, CalibrationFile, Doubt, OutputError, ResultFile, age, doubts as doubts_of,
+    loose_here, write_json, write_whole,
+};
+use crate::pipeline::{Calibrated, Measurement, Method, PipelineError, Stage, Times, measure};
 use crate::progress::Progress;
+use crate::report;
 use crate::session::Session;
 use clap::ValueEnum;
 use std::path::Path;
@@ -124,6 +129,7 @@ pub fn measure_and_write(
     let (settings, source) = args.settings();
     let positions = calibration.positions();
     let mut measured = measure(session, &rig, &positions, method, &settings, times, out)?;
+    doubt(calibration, &mut measured, begun, out);
     if let Some(words) = decision_words(source) {
         out.warn(&words);
         measured.warnings.push(words);
@@ -146,27 +152,132 @@ pub fn write_measured(
     let source = args.settings().1;
     let mut result = ResultFile::new(measured, "cloud.ply", source, method, robot);
     times.time(Stage::Write, || -> anyhow::Result<()> {
-        let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
-        let points = &measured.cloud;
-        write_whole(&folder.join("cloud.ply"), |w| {
-            crate::cloud::write_ply(w, points, &comment)
-        })?;
-        if args.xyz {
-            write_whole(&folder.join("cloud.xyz"), |w| {
-                crate::cloud::write_xyz(w, points)
-            })?;
-        }
-        if args.csv {
-            write_whole(&folder.join("cloud.csv"), |w| {
-                crate::cloud::write_csv(w, points)
-            })?;
-        }
-        Ok(())
+        Ok(write_cloud(folder, &measured.cloud, args)?)
     })?;
     result.seconds = seconds(times, begun);
+    out.detail(&super::summary::times(times));
+    if out.verbose > 1 {
+        for (name, value) in report::settings(method, &settings) {
+            out.detail(&format!("{name}: {value}"));
+        }
+    }
     // The result last: where it stands, all else stands.
     write_json(&folder.join("result.json"), &result)?;
     Ok(result)
+}
+
+/// Writes cloud.ply, and cloud.xyz and cloud.csv where asked for.
+pub fn write_cloud(
+    folder: &Path,
+    points: &[crate::cloud::CloudPoint],
+    args: &NeedleArgs,
+) -> Result<(), OutputError> {
+    use crate::cloud::{write_csv, write_ply, write_xyz};
+    let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
+    write_whole(&folder.join("cloud.ply"), |w| {
+        write_ply(w, points, &comment)
+    })?;
+    if args.xyz {
+        write_whole(&folder.join("cloud.xyz"), |w| write_xyz(w, points))?;
+    }
+    if args.csv {
+        write_whole(&folder.join("cloud.csv"), |w| write_csv(w, points))?;
+    }
+    Ok(())
+}
+
+/// Adds to a measurement's warnings what speaks against the calibration that it was made with: its
+/// age, how loose it is, what it said itself. What this run has already said (a calibration made
+/// since `begun`) is not said again on the terminal.
+pub fn doubt(calibration: &CalibrationFile, m: &mut Measurement, begun: Instant, out: &Output) {
+    let now = jiff::Timestamp::now();
+    let fresh = age(calibration).is_some_and(|then| {
+        now.duration_since(then).as_secs_f64() <= begun.elapsed().as_secs_f64() + 1.0
+    });
+    let u = &m.decision.uncertainty;
+    let here = loose_here(u.entry_parts_mm[0], u.angle_parts[0]);
+    let mut doubts: Vec<String> = here.iter().map(Doubt::sentence).collect();
+    for words in &doubts {
+        out.warn(words);
+    }
+    for words in doubts_of(calibration, now).iter().map(Doubt::sentence) {
+        if !fresh {
+            out.warn(&words);
+        }
+        doubts.push(words);
+    }
+    m.warnings.extend(doubts);
+}
+
+/// Writes report.html of a measured hand into `folder`; `calibrated` if the calibration was made in
+/// the same run (its residuals are then shown corner by corner), `truth` on a simulated rig.
+#[allow(clippy::too_many_arguments)]
+pub fn write_report(
+    session: &Session,
+    calibrated: Option<&Calibrated>,
+    calibration: &CalibrationFile,
+    measured: &Measurement,
+    method: Method,
+    args: &NeedleArgs,
+    truth: Vec<report::TruthRow>,
+    times: &Times,
+    folder: &Path,
+) -> anyhow::Result<()> {
+    let (settings, source) = args.settings();
+    let page = report::assemble(report::Sources {
+        session,
+        calibrated,
+        calibration,
+        outcome: report::Outcome::Measured(measured),
+        angle_source: source.words(),
+        settings: report::settings(method, &settings),
+        puncture: Some(report::decided(
+            &crate::puncture::default_decision(),
+            &crate::puncture::tissue::Setup::default(),
+        )),
+        truth,
+        times,
+    })?;
+    Ok(report::write(&page, &folder.join("report.html"))?)
+}
+
+/// Writes a report that says why there is no angle, and shows what there is. The error itself goes
+/// on to the user.
+#[allow(clippy::too_many_arguments)]
+pub fn report_refusal(
+    session: &Session,
+    calibrated: Option<&Calibrated>,
+    calibration: &CalibrationFile,
+    error: &anyhow::Error,
+    method: Method,
+    args: &NeedleArgs,
+    times: &Times,
+    folder: &Path,
+) -> anyhow::Result<()> {
+    // Only what the gates refuse: a file that can't be read leaves nothing to show.
+    let Some(PipelineError::Needle { source, .. }) = error.downcast_ref() else {
+        return Ok(());
+    };
+    let (settings, words) = args.settings();
+    let mut reasons = vec![source.to_string()];
+    if folder.join("result.json").exists() {
+        reasons.push(
+            "result.json and cloud.ply in this folder are of an earlier run: do not use them"
+                .to_owned(),
+        );
+    }
+    let page = report::assemble(report::Sources {
+        session,
+        calibrated,
+        calibration,
+        outcome: report::Outcome::Refused(reasons),
+        angle_source: words.words(),
+        settings: report::settings(method, &settings),
+        puncture: None,
+        truth: Vec::new(),
+        times,
+    })?;
+    Ok(report::write(&page, &folder.join("report.html"))?)
 }
 
 /// Seconds a stage (summed over threads), and of the clock on the wall.
@@ -176,60 +287,4 @@ fn seconds(times: &Times, begun: Instant) -> std::collections::BTreeMap<String, 
         stages.map(|(name, s)| (name.to_owned(), s)).collect();
     all.insert("wall".to_owned(), begun.elapsed().as_secs_f64());
     all
-}
-
-/// A calibration in a few lines.
-pub fn calibration_text(c: &Calibrated) -> String {
-    let mut text = format!(
-        "camera  fx {:.2}  fy {:.2}  u0 {:.2}  v0 {:.2}  reprojection {:.4} px over {} views",
-        c.camera.fx,
-        c.camera.fy,
-        c.camera.u0,
-        c.camera.v0,
-        c.zhang.rms_px,
-        c.views.len()
-    );
-    if let Some(light) = &c.light {
-        let n = light.model.normal;
-        text += &format!("\nlight   normal ({:.5}, {:.5}, {:.5})", n.x, n.y, n.z);
-        if light.travels {
-            text += &format!(
-                "  D = {:.5}·x {:+.4} mm  spacing error {:.4} mm  offset error {:.4} mm",
-                light.model.a, light.model.b, light.spacing_error_mm, light.offset_error_mm
-            );
-        } else {
-            text += "  one position: no travel";
-        }
-    }
-    text
-}
-
-/// A measurement in a few lines.
-pub fn measurement_text(m: &Measurement) -> String {
-    let d = &m.decision;
-    let (n, e, a) = (d.plane.normal, d.entry, d.needle.axis);
-    let u = &d.uncertainty;
-    format!(
-        "cloud   {} points on the hand\n\
-         plane   normal ({:.5}, {:.5}, {:.5})  ±{:.3}°  {} points, {:.3} mm RMS\n\
-         entry   ({:.3}, {:.3}, {:.3}) mm  ±{:.3} mm\n\
-         needle  {:.1}° ±{:.3}°  axis ({:.5}, {:.5}, {:.5})  ±{:.3}°",
-        m.cloud.len(),
-        n.x,
-        n.y,
-        n.z,
-        u.normal_sigma().to_degrees(),
-        d.points,
-        d.rms_mm,
-        e.x,
-        e.y,
-        e.z,
-        u.entry_sigma_mm(),
-        d.needle.angle.to_degrees(),
-        u.angle_sigma.to_degrees(),
-        a.x,
-        a.y,
-        a.z,
-        u.axis_sigma().to_degrees()
-    )
 }

@@ -9,6 +9,8 @@ mod calibrate;
 mod capture;
 mod config;
 mod demo;
+mod doctor;
+mod examples;
 mod job;
 mod live;
 mod motion;
@@ -20,12 +22,14 @@ mod puncture;
 mod replay;
 mod rig;
 mod scan;
+mod shell;
 mod simulate;
+mod summary;
 mod uf2;
 
 pub use output::{BadArgument, Output};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
 /// Laser-line scanner and needle-angle decision for venipuncture-robot research.
@@ -68,6 +72,20 @@ enum Command {
     Simulate(simulate::Args),
     /// The board's program as a file for its USB boot loader.
     Uf2(uf2::Args),
+    /// Is everything fit for work: machine, board, camera, configuration, calibration.
+    ///
+    /// Nothing moves and the laser stays off; each finding comes with its remedy. Exit status 1 if
+    /// something is wrong.
+    Doctor(doctor::Args),
+    /// Completions for a shell, on standard output.
+    Completions(shell::CompletionArgs),
+    /// The manual's pages.
+    Man(shell::ManArgs),
+}
+
+/// The commands with their examples, as they are parsed, completed and described.
+fn command() -> clap::Command {
+    examples::add(Cli::command())
 }
 
 fn run(command: Command, out: &Output) -> anyhow::Result<()> {
@@ -86,12 +104,18 @@ fn run(command: Command, out: &Output) -> anyhow::Result<()> {
         Command::Config(args) => config::run(args, out),
         Command::Simulate(args) => simulate::run(args, out),
         Command::Uf2(args) => uf2::run(args, out),
+        Command::Doctor(args) => doctor::run(args, out),
+        Command::Completions(args) => shell::completions(&args, out),
+        Command::Man(args) => shell::man(&args, out),
     }
 }
 
 /// Runs the program with its arguments (the first is its name); gives the exit status.
 pub fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
-    let cli = match Cli::try_parse_from(args) {
+    let parsed = command()
+        .try_get_matches_from(args)
+        .and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
         Ok(cli) => cli,
         Err(e) => {
             // Help and version are no errors: clap knows where each goes.

@@ -4,7 +4,7 @@ use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Options that every command takes.
 #[derive(clap::Args, Debug)]
@@ -15,7 +15,7 @@ pub struct Options {
     /// Say nothing but errors.
     #[arg(long, short, global = true, conflicts_with = "verbose")]
     quiet: bool,
-    /// Say more; twice for all.
+    /// Say more: what each stage did and how long it took; twice for every setting as well.
     #[arg(long, short, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
     /// Threads to work on (all cores if not given).
@@ -50,6 +50,15 @@ pub struct Output {
     /// How much more to say.
     pub verbose: u8,
     bar: Mutex<Option<ProgressBar>>,
+    stage: Mutex<Option<Stage>>,
+}
+
+/// The stage under way, for `-v`.
+struct Stage {
+    name: String,
+    done: usize,
+    of: usize,
+    began: Instant,
 }
 
 impl Output {
@@ -60,6 +69,7 @@ impl Output {
             quiet: options.quiet,
             verbose: options.verbose,
             bar: Mutex::new(None),
+            stage: Mutex::new(None),
         }
     }
 
@@ -110,7 +120,8 @@ impl Output {
                 sentence.push_str(&cause);
             }
         }
-        self.line(&format!("cannula: {sentence}"));
+        let name = console::style("cannula:").for_stderr().red().bold();
+        self.line(&format!("{name} {sentence}"));
     }
 
     fn line(&self, line: &str) {
@@ -126,6 +137,14 @@ impl Output {
 
 impl Progress for Output {
     fn start(&self, stage: &str, steps: usize) {
+        if let Ok(mut place) = self.stage.lock() {
+            *place = Some(Stage {
+                name: stage.to_owned(),
+                done: 0,
+                of: steps,
+                began: Instant::now(),
+            });
+        }
         if self.quiet || !std::io::stderr().is_terminal() {
             return;
         }
@@ -133,7 +152,9 @@ impl Progress for Output {
             Some(steps as u64),
             ProgressDrawTarget::stderr_with_hz(10),
         );
-        if let Ok(style) = ProgressStyle::with_template("{msg:24} {bar:30} {pos}/{len} {elapsed}") {
+        if let Ok(style) =
+            ProgressStyle::with_template("{msg:22} {bar:24} {pos}/{len}  {per_sec}  {eta} left")
+        {
             bar.set_style(style);
         }
         bar.set_message(stage.to_owned());
@@ -146,6 +167,9 @@ impl Progress for Output {
     }
 
     fn step(&self) {
+        if let Ok(Some(stage)) = self.stage.lock().as_deref_mut() {
+            stage.done += 1;
+        }
         if let Ok(Some(bar)) = self.bar.lock().as_deref() {
             bar.inc(1);
         }
@@ -157,9 +181,20 @@ impl Progress for Output {
         {
             bar.finish_and_clear();
         }
+        if let Ok(Some(stage)) = self.stage.lock().map(|mut place| place.take()) {
+            let seconds = stage.began.elapsed().as_secs_f64();
+            self.detail(&format!(
+                "{}: {} of {} in {seconds:.2} s ({:.0} a second)",
+                stage.name,
+                stage.done,
+                stage.of,
+                stage.done as f64 / seconds.max(1e-9)
+            ));
+        }
     }
 
     fn warn(&self, message: &str) {
-        self.say(&format!("warning: {message}"));
+        let word = console::style("warning:").for_stderr().yellow().bold();
+        self.say(&format!("{word} {message}"));
     }
 }

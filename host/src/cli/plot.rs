@@ -14,9 +14,6 @@ use std::path::{Path, PathBuf};
 
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
-#[command(
-    after_help = "Example: cannula plot calibration session -o calibration.svg\n         cannula plot puncture out -o force.png"
-)]
 pub struct Args {
     #[command(subcommand)]
     what: What,

@@ -3,12 +3,10 @@
 use super::Output;
 use super::job::{
     MethodName, NeedleArgs, calibration_text, measure_and_write, measurement_text, needs_scan,
+    report_refusal, write_report,
 };
 use crate::output::{CalibrationFile, write_json};
-use crate::pipeline::{Method, Stage, Times, calibrate};
-use crate::puncture::default_decision;
-use crate::puncture::tissue::Setup;
-use crate::report;
+use crate::pipeline::{Stage, Times, calibrate};
 use crate::session::Session;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -54,20 +52,33 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         &times,
         begun,
         out,
-    )?;
-    let (settings, source) = args.needle.settings();
-    let page = report::assemble(report::Sources {
-        session: &session,
-        calibrated: Some(&calibrated),
-        camera: &calibrated.camera,
-        measured: &measured,
-        angle_source: source.words(),
-        settings: report::settings(Method::from(args.method).name(), &settings),
-        puncture: Some(report::decided(&default_decision(), &Setup::default())),
-        truth: Vec::new(),
-        times: &times,
+    )
+    .inspect_err(|e| {
+        let told = report_refusal(
+            &session,
+            Some(&calibrated),
+            &calibration,
+            e,
+            method,
+            &args.needle,
+            &times,
+            &args.out,
+        );
+        if let Err(e) = told {
+            out.error(&e);
+        }
     })?;
-    report::write(&page, &args.out.join("report.html"))?;
+    write_report(
+        &session,
+        Some(&calibrated),
+        &calibration,
+        &measured,
+        method,
+        &args.needle,
+        Vec::new(),
+        &times,
+        &args.out,
+    )?;
     out.result(&result, || {
         format!(
             "{}\n{}\nwritten: {}",

@@ -199,10 +199,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
 
 /// What the runs assumed, for the report.
 fn settings(setup: &Setup, numerics: &Numerics) -> Vec<(String, String)> {
-    vec![
-        ("tissue, needle, friction".to_owned(), format!("{setup:?}")),
-        ("numerics".to_owned(), format!("{numerics:?}")),
-    ]
+    let mut rows = crate::report::leaves(setup);
+    rows.extend(crate::report::leaves(numerics));
+    rows
 }
 
 /// Runs angles side by side, each on one core.

@@ -18,6 +18,11 @@ pub struct RigArgs {
 }
 
 impl RigArgs {
+    /// The configuration's file, if one was given.
+    pub fn file(&self) -> Option<&Path> {
+        self.config.as_deref()
+    }
+
     /// The configuration, checked.
     pub fn load(&self) -> anyhow::Result<Rig> {
         let mut rig = match &self.config {

@@ -45,6 +45,9 @@ pub struct Provenance {
     pub program: String,
     /// The recording.
     pub session: String,
+    /// When, ISO 8601 in UTC.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time: Option<String>,
 }
 
 /// The camera's part.
@@ -251,6 +254,7 @@ impl CalibrationFile {
             provenance: Some(Provenance {
                 program: concat!("cannula ", env!("CARGO_PKG_VERSION")).to_owned(),
                 session: session.display().to_string(),
+                time: Some(super::seconds(jiff::Timestamp::now())),
             }),
         }
     }

@@ -3,9 +3,14 @@
 
 mod calibration;
 mod result;
+mod trust;
 
-pub use calibration::{CalibrationFile, read_calibration};
+pub use calibration::{CalibrationFile, LightFile, read_calibration};
 pub use result::{AngleSource, ResultFile};
+pub use trust::{
+    Doubt, LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS, age,
+    age_words, doubts, loose_here, seconds,
+};
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@ use super::*;
 use serde_json::{Value, json};
 
 /// The contract's own example with numbers in it, and nothing beside.
-fn contract() -> Value {
+pub(super) fn contract() -> Value {
     json!({ "format": "cannula-calibration/1",
       "camera": { "width": 1280, "height": 960, "fx": 2197.8, "fy": 2204.8, "u0": 626.6, "v0": 487.3,
                   "distortion": { "k1": -0.14, "k2": -0.04, "p1": 0, "p2": 0, "k3": -0.3 }, "rms_px": 0.01 },
@@ -11,7 +11,7 @@ fn contract() -> Value {
                   "spacing_error_mm": 0, "offset_error_mm": 0 } })
 }
 
-fn read(value: &Value) -> Result<CalibrationFile, OutputError> {
+pub(super) fn read(value: &Value) -> Result<CalibrationFile, OutputError> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("calibration.json");
     write_json(&path, value).unwrap();

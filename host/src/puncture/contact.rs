@@ -33,7 +33,7 @@ pub trait Rigid {
 }
 
 /// Numbers of the interface.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Stiffness {
     /// Contact spring, as a share of nodal mass / step².
     pub contact: f64,

@@ -18,7 +18,7 @@ use super::mesh::{Mesh, Region};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Numbers of the time integration.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Integration {
     /// Courant number at rest, below 1.
     pub courant: f64,

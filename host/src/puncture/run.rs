@@ -11,7 +11,7 @@ use super::tissue::Setup;
 use std::time::Instant;
 
 /// Mesh and steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Numerics {
     /// Brick where the needle passes, mm.
     pub h_mm: f64,

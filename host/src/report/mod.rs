@@ -12,10 +12,10 @@ mod write;
 
 pub use model::{Report, TruthRow};
 pub use sources::{
-    calibration as calibration_section, decided, puncture_folder, punctured, settings,
+    calibration as calibration_section, decided, leaves, puncture_folder, punctured, settings,
     stripe_sample,
 };
-pub use write::{ReportError, Sources, assemble, of_puncture, write};
+pub use write::{Outcome, ReportError, Sources, assemble, of_puncture, write};
 
 /// The whole page.
 pub fn render(report: &Report) -> String {

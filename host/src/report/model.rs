@@ -215,6 +215,8 @@ pub struct Calibration {
     pub findings: Vec<String>,
     /// "ml" or "paper".
     pub method: String,
+    /// When, if it was not made in the same run: "made …, … ago".
+    pub made: Option<String>,
 }
 
 /// A piece of a frame with the centres found in it.
@@ -228,7 +230,7 @@ pub struct StripeSample {
     pub image: Gray,
     /// Pixel of the frame at the piece's top left.
     pub origin: [f64; 2],
-    /// Centres: u, v, standard deviation across, quality.
+    /// The centres of the whole stripe, in the frame: u, v, standard deviation across, quality.
     pub centres: Vec<[f64; 4]>,
 }
 

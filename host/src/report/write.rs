@@ -1,8 +1,8 @@
 //! `report.html` of a processed recording.
 
-use super::model::{Puncture, Report, TruthRow};
+use super::model::{Puncture, Report, TruthRow, Verdict};
 use super::sources;
-use crate::output::{OutputError, write_whole};
+use crate::output::{CalibrationFile, OutputError, write_whole};
 use crate::pipeline::{Calibrated, Measurement, Times};
 use crate::session::{Session, SessionError};
 use std::path::Path;
@@ -18,17 +18,26 @@ pub enum ReportError {
     Output(#[from] OutputError),
 }
 
-/// What a report is made of.
+/// What came of the measurement.
+#[derive(Debug)]
+pub enum Outcome<'a> {
+    /// The measured hand.
+    Measured(&'a Measurement),
+    /// No angle is given, and why.
+    Refused(Vec<String>),
+}
+
+/// What a report is made of. `cannula process`, `angle`, `demo` and `scan` fill it alike.
 #[derive(Debug)]
 pub struct Sources<'a> {
     /// The recording.
     pub session: &'a Session,
-    /// Its calibration, if it was made in the same run.
+    /// Its calibration with all residuals, if it was made in the same run.
     pub calibrated: Option<&'a Calibrated>,
-    /// The camera that measured.
-    pub camera: &'a crate::geometry::Camera,
-    /// The measured hand.
-    pub measured: &'a Measurement,
+    /// The calibration's file, whose camera measured.
+    pub calibration: &'a CalibrationFile,
+    /// The measured hand, or why there is none.
+    pub outcome: Outcome<'a>,
     /// Where the angle comes from, in words.
     pub angle_source: &'a str,
     /// Name and value of settings and thresholds.
@@ -52,16 +61,30 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         .ok()
         .and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
         .unwrap_or_else(|| folder.display().to_string());
-    let warnings = s.calibrated.map_or(&[][..], |c| &c.warnings);
     let robot = s.session.manifest.robot_from_camera.as_ref();
+    let measured = match &s.outcome {
+        Outcome::Measured(m) => Some(*m),
+        Outcome::Refused(_) => None,
+    };
+    let verdict = match &s.outcome {
+        Outcome::Measured(m) => sources::verdict(m),
+        Outcome::Refused(reasons) => Verdict {
+            usable: false,
+            reasons: reasons.clone(),
+            warnings: s.calibration.warnings.clone(),
+        },
+    };
     Ok(Report {
         title,
-        verdict: Some(sources::verdict(s.measured, warnings)),
-        needle: Some(sources::needle(s.measured, s.angle_source, robot)),
-        picture: sources::picture(s.session, s.measured, s.camera)?,
-        scene: Some(sources::scene(s.measured)),
-        calibration: s.calibrated.map(sources::calibration),
-        stripes: sources::stripes(s.session, s.measured)?,
+        verdict: Some(verdict),
+        needle: measured.map(|m| sources::needle(m, s.angle_source, robot)),
+        picture: sources::picture(s.session, measured, &s.calibration.camera())?,
+        scene: measured.map(sources::scene),
+        calibration: Some(match s.calibrated {
+            Some(c) => sources::calibration(c),
+            None => sources::of_file(s.calibration),
+        }),
+        stripes: sources::stripes(s.session, measured)?,
         puncture: s.puncture,
         truth: s.truth,
         provenance: sources::provenance(&folder.display().to_string(), s.settings, s.times),

@@ -129,7 +129,19 @@ pub fn open(rig: &Rig) -> Result<Opened, OpenError> {
         return simulated(rig);
     }
     let board = board(rig)?;
-    let (camera, stage): (Box<dyn Camera>, _) = match rig.camera.kind {
+    let (camera, stage) = camera(rig)?;
+    Ok(Opened {
+        board,
+        camera,
+        stage,
+        virtual_board: None,
+    })
+}
+
+/// Opens the camera that the configuration names, and the stage before a simulated one (which
+/// learns of triggers from the ledger).
+pub fn camera(rig: &Rig) -> Result<(Box<dyn Camera>, Option<Stage>), OpenError> {
+    Ok(match rig.camera.kind {
         CameraKind::Simulated => {
             let stage = stage(rig)?;
             (
@@ -143,12 +155,6 @@ pub fn open(rig: &Rig) -> Result<Opened, OpenError> {
         ),
         CameraKind::Genicam => (genicam(rig)?, None),
         CameraKind::V4l => (v4l(rig)?, None),
-    };
-    Ok(Opened {
-        board,
-        camera,
-        stage,
-        virtual_board: None,
     })
 }
 

@@ -298,3 +298,38 @@ fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
         });
     }
 }
+
+/// The gate's limits by name, for the report.
+pub fn limits() -> [(&'static str, String); 8] {
+    [
+        (
+            "camera: view left out beyond",
+            format!("{BAD_VIEW} × the median view's residuals"),
+        ),
+        (
+            "camera: view named beyond",
+            format!("{ODD_VIEW} × the median view's residuals"),
+        ),
+        (
+            "camera: refused if boards differ by less than",
+            format!("{PARALLEL_DEG}°"),
+        ),
+        (
+            "camera: named if boards differ by less than",
+            format!("{LITTLE_TILT_DEG}°"),
+        ),
+        (
+            "camera: refused at σ of the focal length",
+            format!("{} %", 100.0 * REFUSE_FOCAL),
+        ),
+        (
+            "camera: named at σ of the focal length",
+            format!("{} %", 100.0 * WARN_FOCAL),
+        ),
+        (
+            "camera: refused at residuals of",
+            format!("{REFUSE_RMS_PX} px"),
+        ),
+        ("camera: named at residuals of", format!("{WARN_RMS_PX} px")),
+    ]
+}

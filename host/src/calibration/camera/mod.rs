@@ -6,6 +6,8 @@
 
 mod gate;
 
+pub use gate::limits;
+
 use super::corners::{CornerView, Residuals};
 use super::finding::{Finding, Severity, refusals};
 use super::solve::{Block, Problem, Stop, minimise};

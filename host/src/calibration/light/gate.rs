@@ -228,3 +228,30 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
         });
     }
 }
+
+/// The gate's limits by name, for the report.
+pub fn limits() -> [(&'static str, String); 5] {
+    let pair = |(refused, named): (f64, f64), unit: &str| format!("{refused}{unit}, {named}{unit}");
+    [
+        (
+            "light planes: travel off the normal refused, named at",
+            pair((ANGLE.0.to_degrees(), ANGLE.1.to_degrees()), "°"),
+        ),
+        (
+            "light planes: |a| beyond the cosine refused, named at",
+            pair(EXCESS, ""),
+        ),
+        (
+            "light planes: σ in the middle refused, named at",
+            pair(PLANE_SIGMA_MM, " mm"),
+        ),
+        (
+            "light planes: hold-out error refused, named at",
+            pair(HOLD_OUT_MM, " mm"),
+        ),
+        (
+            "light planes: least part of a stripe used",
+            format!("{} %", 100.0 * LEAST_USED),
+        ),
+    ]
+}

@@ -23,6 +23,7 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
+pub use gate::limits;
 pub use joint::calibrate;
 
 use super::finding::{Finding, refusals};

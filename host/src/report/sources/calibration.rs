@@ -2,6 +2,7 @@
 
 use super::three;
 use crate::geometry::Pose;
+use crate::output::{CalibrationFile, LightFile, age, age_words};
 use crate::pipeline::{Calibrated, Light, Method};
 use crate::report::model::{self, BoardView, Calibration, Position};
 
@@ -43,6 +44,7 @@ pub fn calibration(c: &Calibrated) -> Calibration {
             })
             .unwrap_or_default(),
         findings: c.warnings.clone(),
+        made: None,
         method: match c.method {
             Method::Ml => "maximum likelihood".into(),
             Method::Paper => "the paper's".into(),
@@ -50,8 +52,96 @@ pub fn calibration(c: &Calibrated) -> Calibration {
     }
 }
 
+/// What a calibration's file tells: no corners, so neither residuals nor coverage.
+pub fn of_file(f: &CalibrationFile) -> Calibration {
+    let light = f.light.as_ref();
+    let sigma = |i: usize| {
+        let row = f.covariance.as_ref()?.get(i)?;
+        row.get(i).copied().filter(|v| *v > 0.0).map(f64::sqrt)
+    };
+    let c = f.camera();
+    let mut parameters: Vec<_> = NAMES
+        .iter()
+        .zip(c.parameters().iter())
+        .enumerate()
+        .map(|(i, (name, v))| ((*name).to_owned(), *v, sigma(i), unit(i).to_owned()))
+        .collect();
+    let travel = light.and_then(|l| Some((l.a?, l.b?)));
+    if let Some((a, b)) = travel {
+        parameters.push(("a".into(), a, sigma(11), "mm/mm".into()));
+        parameters.push(("b".into(), b, sigma(12), "mm".into()));
+    }
+    Calibration {
+        size: [c.width, c.height],
+        parameters,
+        rms_px: f.camera.rms_px,
+        views: f
+            .camera
+            .views
+            .iter()
+            .map(|v| BoardView {
+                name: v.image.clone(),
+                rms_px: v.rms_px,
+                ..BoardView::default()
+            })
+            .collect(),
+        light: light.map(|l| model::Light {
+            normal: l.normal,
+            travel,
+        }),
+        positions: light.map(|l| file_positions(l, travel)).unwrap_or_default(),
+        spacing_error_mm: light.and_then(|l| l.spacing_error_mm).unwrap_or(f64::NAN),
+        offset_error_mm: light.and_then(|l| l.offset_error_mm).unwrap_or(f64::NAN),
+        table_1: light
+            .iter()
+            .flat_map(|l| &l.table_1)
+            .map(|r| (r.image.clone(), r.before_px2, r.after_px2))
+            .collect(),
+        figure_14: light
+            .iter()
+            .flat_map(|l| &l.figure_14)
+            .map(|r| (r.slide_mm, r.before_mm, r.after_mm))
+            .collect(),
+        findings: f.warnings.clone(),
+        made: age(f).map(|then| age_words(then, jiff::Timestamp::now())),
+        method: match f.method.as_deref() {
+            Some("ml") => "maximum likelihood".into(),
+            Some("paper") => "the paper's".into(),
+            _ => "not known".into(),
+        },
+    }
+}
+
+fn file_positions(l: &LightFile, travel: Option<(f64, f64)>) -> Vec<Position> {
+    let spacing = |x: f64| l.table_2.iter().find(|r| r.slide_mm == x);
+    let offset = |x: f64| l.table_4.iter().find(|r| r.slide_mm == x);
+    l.planes
+        .iter()
+        .map(|p| {
+            let predicted = travel.map_or(p.d, |(a, b)| a * p.slide_mm + b);
+            Position {
+                slide_mm: p.slide_mm,
+                normal: p.normal,
+                fitted_mm: offset(p.slide_mm).map_or(p.d, |o| o.fitted_mm),
+                predicted_mm: offset(p.slide_mm).map_or(predicted, |o| o.predicted_mm),
+                spacing_mm: spacing(p.slide_mm).map(|s| s.distance_mm),
+                travelled_mm: spacing(p.slide_mm).map(|s| s.travelled_mm),
+                hold_out_mm: None,
+                points: p.points,
+                rms_mm: p.rms_mm,
+            }
+        })
+        .collect()
+}
+
+/// The camera's parameters in the order of the covariance.
+const NAMES: [&str; 9] = ["fx", "fy", "u0", "v0", "k1", "k2", "p1", "p2", "k3"];
+
+fn unit(i: usize) -> &'static str {
+    if i < 4 { "px" } else { "" }
+}
+
 fn parameters(c: &Calibrated) -> Vec<(String, f64, Option<f64>, String)> {
-    let names = ["fx", "fy", "u0", "v0", "k1", "k2", "p1", "p2", "k3"];
     let known = c.covariance.diagonal().iter().any(|v| *v > 0.0);
     let sigma = |i: usize| known.then(|| c.covariance[(i, i)].max(0.0).sqrt());
     let mut rows: Vec<_> = c
@@ -59,10 +149,7 @@ fn parameters(c: &Calibrated) -> Vec<(String, f64, Option<f64>, String)> {
         .parameters()
         .iter()
         .enumerate()
-        .map(|(i, v)| {
-            let unit = if i < 4 { "px" } else { "" };
-            (names[i].to_owned(), *v, sigma(i), unit.to_owned())
-        })
+        .map(|(i, v)| (NAMES[i].to_owned(), *v, sigma(i), unit(i).to_owned()))
         .collect();
     if let Some(l) = c.light.as_ref().filter(|l| l.travels) {
         // The covariance of the light planes is zero in the paper's way: not known there.

@@ -52,12 +52,13 @@ fn frame(
     }
 }
 
-/// A measurement that stands was not refused; its warnings and the calibration's are what is weak.
-pub fn verdict(m: &Measurement, calibration: &[String]) -> Verdict {
+/// A measurement that stands was not refused; its warnings (the calibration's among them) are what
+/// is weak.
+pub fn verdict(m: &Measurement) -> Verdict {
     Verdict {
         usable: true,
         reasons: Vec::new(),
-        warnings: calibration.iter().chain(&m.warnings).cloned().collect(),
+        warnings: m.warnings.clone(),
     }
 }
 

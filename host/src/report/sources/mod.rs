@@ -6,21 +6,22 @@ mod measurement;
 mod picture;
 mod puncture;
 
-pub use calibration::calibration;
+pub use calibration::{calibration, of_file};
 pub use decision::{decided, punctured};
 pub use measurement::{needle, scene, verdict};
 pub use picture::{picture, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
 use super::model::Provenance;
-use crate::pipeline::Times;
+use crate::output::{LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS};
+use crate::pipeline::{Method, Times};
 
 /// What is known of every run.
 pub fn provenance(session: &str, settings: Vec<(String, String)>, times: &Times) -> Provenance {
     Provenance {
         program: format!("cannula {}", env!("CARGO_PKG_VERSION")),
         command: std::env::args().collect::<Vec<_>>().join(" "),
-        time: utc_now(),
+        time: crate::output::seconds(jiff::Timestamp::now()),
         session: session.to_owned(),
         settings,
         stages: times
@@ -31,12 +32,12 @@ pub fn provenance(session: &str, settings: Vec<(String, String)>, times: &Times)
     }
 }
 
-/// Every threshold of the measurement, by name, in the units of the screen.
-pub fn settings(method: &str, s: &crate::needle::Settings) -> Vec<(String, String)> {
+/// Every setting and threshold of a measurement, by name, in the units of the screen.
+pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, String)> {
     let l = &s.limits;
     let degrees = |r: f64| format!("{:.2}°", r.to_degrees());
-    [
-        ("method", method.to_owned()),
+    let own = [
+        ("method", method.name().to_owned()),
         ("needle angle", degrees(s.angle)),
         (
             "path begins before the entry by",
@@ -64,38 +65,72 @@ pub fn settings(method: &str, s: &crate::needle::Settings) -> Vec<(String, Strin
             "largest angle between normal and sight",
             degrees(l.obliquity),
         ),
-    ]
-    .into_iter()
-    .map(|(name, value)| (name.to_owned(), value))
-    .collect()
+        (
+            "smallest angle between light plane and surface",
+            degrees(l.grazing),
+        ),
+        ("calibration: old after", format!("{OLD_DAYS} days")),
+        (
+            "calibration: loose if corners miss by",
+            format!("{LOOSE_CORNERS_PX} px"),
+        ),
+        (
+            "calibration: loose if planes are predicted to",
+            format!("{LOOSE_PLANES_MM} mm"),
+        ),
+        (
+            "calibration: loose if it alone leaves entry, angle to",
+            format!("{LOOSE_ENTRY_MM} mm, {LOOSE_AXIS_DEG}°"),
+        ),
+    ];
+    let mut rows: Vec<(String, String)> = own
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect();
+    if method == Method::Ml {
+        let hand = crate::stripe::hand::HandSettings::default();
+        let yes = |on: bool| if on { "yes" } else { "no" }.to_owned();
+        rows.extend([
+            (
+                "hand stripe: smoothed along it".to_owned(),
+                yes(hand.smooth),
+            ),
+            ("hand stripe: albedo corrected".to_owned(), yes(hand.albedo)),
+        ]);
+    }
+    let gates = crate::calibration::camera::limits()
+        .into_iter()
+        .chain(crate::calibration::light::limits());
+    rows.extend(gates.map(|(name, value)| (name.to_owned(), value)));
+    rows
 }
 
-/// The time as ISO 8601, UTC, to the second.
-pub fn utc_now() -> String {
-    let seconds = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0, |d| d.as_secs());
-    iso_8601(seconds)
-}
-
-/// Seconds since 1970 as a date (H. Hinnant, «chrono-compatible low-level date algorithms»).
-fn iso_8601(seconds: u64) -> String {
-    let (days, rest) = ((seconds / 86_400) as i64, seconds % 86_400);
-    let z = days + 719_468;
-    let era = z.div_euclid(146_097);
-    let doe = z.rem_euclid(146_097);
-    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let day = doy - (153 * mp + 2) / 5 + 1;
-    let month = if mp < 10 { mp + 3 } else { mp - 9 };
-    let year = yoe + era * 400 + i64::from(month <= 2);
-    format!(
-        "{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z",
-        rest / 3600,
-        rest / 60 % 60,
-        rest % 60
-    )
+/// The leaves of anything that can be written as JSON, with the path to each.
+pub fn leaves(value: &impl serde::Serialize) -> Vec<(String, String)> {
+    fn walk(path: &str, value: &serde_json::Value, rows: &mut Vec<(String, String)>) {
+        use serde_json::Value;
+        let under = |key: &str| {
+            if path.is_empty() {
+                key.replace('_', " ")
+            } else {
+                format!("{path}: {}", key.replace('_', " "))
+            }
+        };
+        match value {
+            Value::Object(map) => map.iter().for_each(|(k, v)| walk(&under(k), v, rows)),
+            Value::Array(list) => list
+                .iter()
+                .enumerate()
+                .for_each(|(i, v)| walk(&under(&(i + 1).to_string()), v, rows)),
+            Value::String(text) => rows.push((path.to_owned(), text.clone())),
+            other => rows.push((path.to_owned(), other.to_string())),
+        }
+    }
+    let mut rows = Vec::new();
+    if let Ok(json) = serde_json::to_value(value) {
+        walk("", &json, &mut rows);
+    }
+    rows
 }
 
 /// A vector as an array.
@@ -105,12 +140,15 @@ fn three(v: &crate::geometry::Vector3) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::iso_8601;
+    use super::*;
 
     #[test]
-    fn dates_of_known_seconds() {
-        assert_eq!(iso_8601(0), "1970-01-01T00:00:00Z");
-        assert_eq!(iso_8601(951_782_400), "2000-02-29T00:00:00Z");
-        assert_eq!(iso_8601(1_795_305_599), "2026-11-21T23:59:59Z");
+    fn leaves_are_named_by_their_path() {
+        let setup = crate::puncture::tissue::Setup::default();
+        let rows = leaves(&setup);
+        let value = |name: &str| rows.iter().find(|r| r.0 == name).map(|r| r.1.as_str());
+        assert_eq!(value("friction"), Some(setup.friction.to_string().as_str()));
+        assert_eq!(value("needle: bevel deg"), Some("12.0"));
+        assert_eq!(value("skin: law: model"), Some("yeoh"));
     }
 }

@@ -8,8 +8,8 @@ use crate::report::model::{Gray, Picture, StripeSample};
 use crate::session::{Session, SessionError};
 use crate::stripe::hand::{self, HandSettings, Surface};
 
-/// Columns of a stripe's piece.
-const PIECE: usize = 160;
+/// Columns and rows of a stripe's piece: few enough that single pixels are seen.
+const PIECE: (usize, usize) = (64, 32);
 
 /// The image, in eight bits.
 fn read(session: &Session, name: &str) -> Result<Image<u8>, SessionError> {
@@ -25,13 +25,14 @@ fn read(session: &Session, name: &str) -> Result<Image<u8>, SessionError> {
     }
 }
 
-/// The hand (ambient image, or the middle frame), with entry, vein, region and needle.
+/// The hand (ambient image, or the middle frame), with entry, vein, and, where it was measured,
+/// region and needle.
 pub fn picture(
     session: &Session,
-    m: &Measurement,
+    measured: Option<&Measurement>,
     camera: &Camera,
 ) -> Result<Option<Picture>, SessionError> {
-    let Some(scan) = &session.manifest.scan else {
+    let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
         return Ok(None);
     };
     let middle = scan.frames.get(scan.frames.len() / 2).map(|f| &f.image);
@@ -39,27 +40,28 @@ pub fn picture(
         return Ok(None);
     };
     let image = read(session, name)?;
-    let d = &m.decision;
-    let basis = tangent_basis(&d.plane.normal);
-    let seen = |p: &Point3| camera.project(p).map(|u| [u.x, u.y]);
-    let circle = (0..72).filter_map(|k| {
-        let (sin, cos) = (f64::from(k) * 5.0).to_radians().sin_cos();
-        let r = m.request.radius_mm;
-        seen(&(d.entry + basis.column(0) * (r * cos) + basis.column(1) * (r * sin)))
-    });
-    let path = &d.needle.path;
-    let needle = (0..=20)
-        .filter_map(|k| seen(&(path.start + (path.entry - path.start) * (f64::from(k) / 20.0))));
-    Ok(Some(cut(
-        &image,
-        Picture {
-            image: Gray::default(),
-            entry: [m.request.pixel.x, m.request.pixel.y],
-            vein: m.request.vein.iter().map(|p| [p.x, p.y]).collect(),
-            region: circle.collect(),
-            needle: needle.collect(),
-        },
-    )))
+    let mut drawn = Picture {
+        image: Gray::default(),
+        entry: entry.pixel,
+        vein: entry.vein.clone(),
+        region: Vec::new(),
+        needle: Vec::new(),
+    };
+    if let Some(m) = measured {
+        let d = &m.decision;
+        let basis = tangent_basis(&d.plane.normal);
+        let seen = |p: &Point3| camera.project(p).map(|u| [u.x, u.y]);
+        let circle = (0..72).filter_map(|k| {
+            let (sin, cos) = (f64::from(k) * 5.0).to_radians().sin_cos();
+            let r = m.request.radius_mm;
+            seen(&(d.entry + basis.column(0) * (r * cos) + basis.column(1) * (r * sin)))
+        });
+        drawn.region = circle.collect();
+        let path = &d.needle.path;
+        let along = |k: i32| path.start + (path.entry - path.start) * (f64::from(k) / 20.0);
+        drawn.needle = (0..=20).filter_map(|k| seen(&along(k))).collect();
+    }
+    Ok(Some(cut(&image, drawn)))
 }
 
 /// The part of the image around all that is drawn, twice the region's width to each side.
@@ -73,7 +75,8 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     };
     let limits = |k: usize, size: usize| {
         let region = extent(&drawn.region, k);
-        let margin = 2.0 * (region.1 - region.0).max(20.0);
+        // Without a region, a good part of the image.
+        let margin = 2.0 * (region.1 - region.0).max(size as f64 / 12.0);
         let needle = extent(&drawn.needle, k);
         let lo = (region.0.min(needle.0.max(region.0 - margin)) - margin).max(0.0) as usize;
         let hi = (region.1.max(needle.1.min(region.1 + margin)) + margin).max(0.0) as usize;
@@ -146,9 +149,13 @@ fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
         .collect()
 }
 
-/// Pieces of the frames nearest to the entry, a quarter and three quarters of the scan.
-pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, SessionError> {
-    let Some(scan) = &session.manifest.scan else {
+/// Pieces of three frames around the entry's column: the frame nearest to the entry (the middle one
+/// where nothing was measured) and one to either side.
+pub fn stripes(
+    session: &Session,
+    measured: Option<&Measurement>,
+) -> Result<Vec<StripeSample>, SessionError> {
+    let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
         return Ok(Vec::new());
     };
     let ambient = scan
@@ -156,12 +163,12 @@ pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, 
         .as_ref()
         .map(|name| read(session, name))
         .transpose()?;
-    let nearest = m
-        .cloud
-        .iter()
-        .min_by(|p, q| {
-            let far = |c: &crate::cloud::CloudPoint| (c.position - m.decision.entry).norm();
-            far(p).total_cmp(&far(q))
+    let nearest = measured
+        .and_then(|m| {
+            m.cloud.iter().min_by(|p, q| {
+                let far = |c: &crate::cloud::CloudPoint| (c.position - m.decision.entry).norm();
+                far(p).total_cmp(&far(q))
+            })
         })
         .map_or(scan.frames.len() / 2, |p| p.frame as usize);
     let mut picked = vec![nearest.saturating_sub(5), nearest, nearest + 5];
@@ -175,39 +182,30 @@ pub fn stripes(session: &Session, m: &Measurement) -> Result<Vec<StripeSample>, 
             frame.slide_mm,
             &frame.image,
             &image,
-            &centres,
-            m.request.pixel.x,
+            centres,
+            entry.pixel,
         ));
     }
     Ok(samples)
 }
 
-/// The piece around column u.
+/// The piece around the stripe's point nearest to `at`.
 fn piece(
     slide_mm: f64,
     name: &str,
     image: &Image<u8>,
-    centres: &[[f64; 4]],
-    u: f64,
+    centres: Vec<[f64; 4]>,
+    at: [f64; 2],
 ) -> Option<StripeSample> {
-    let left = (u - PIECE as f64 / 2.0).max(0.0) as usize;
-    let right = (left + PIECE).min(image.width());
-    let inside: Vec<[f64; 4]> = centres
-        .iter()
-        .copied()
-        .filter(|c| (left as f64..right as f64).contains(&c[0]))
-        .collect();
-    let rows =
-        |pick: fn(f64, f64) -> f64, start: f64| inside.iter().fold(start, |m, c| pick(m, c[1]));
-    let (top, bottom) = (
-        rows(f64::min, f64::INFINITY),
-        rows(f64::max, f64::NEG_INFINITY),
-    );
-    if !(top.is_finite() && bottom.is_finite()) {
-        return None;
-    }
-    let top = (top - 15.0).max(0.0) as usize;
-    let bottom = ((bottom + 16.0).max(0.0) as usize).min(image.height());
+    let far = |c: &[f64; 4]| (c[0] - at[0]).hypot(c[1] - at[1]);
+    let near = *centres.iter().min_by(|a, b| far(a).total_cmp(&far(b)))?;
+    let span = |middle: f64, size: usize, length: usize| {
+        let from = (middle - length as f64 / 2.0).max(0.0) as usize;
+        let from = from.min(size.saturating_sub(length));
+        (from, (from + length).min(size))
+    };
+    let (left, right) = span(near[0], image.width(), PIECE.0);
+    let (top, bottom) = span(near[1], image.height(), PIECE.1);
     let pixels = (top..bottom)
         .flat_map(|v| image.row(v).get(left..right).unwrap_or_default())
         .copied()
@@ -221,6 +219,6 @@ fn piece(
             pixels,
         },
         origin: [left as f64, top as f64],
-        centres: inside,
+        centres,
     })
 }
