@@ -37,6 +37,7 @@ function rod(from, to, radius, colour) {
 }
 
 function start(host, data) {
+  const panel = host.closest('.scene') ?? host; // the view and its controls
   const canvas = host.querySelector('canvas'), label = host.querySelector('.under-pointer');
   let renderer;
   try {
@@ -59,7 +60,7 @@ function start(host, data) {
   }
   const colours = { height: new BufferAttribute(height, 3, true), brightness: new BufferAttribute(grey, 3, true) };
   geometry.setAttribute('color', colours.height);
-  const cloud = new Points(geometry, new PointsMaterial({ size: 1.6 * data.point_size, vertexColors: true, sizeAttenuation: true }));
+  const cloud = new Points(geometry, new PointsMaterial({ size: 2.5 * data.point_size, vertexColors: true, sizeAttenuation: true }));
   const layers = { cloud };
   if (data.plane) layers.plane = quad(data.plane, 0x0072b2, 0.25);
   if (data.section) layers.section = quad(data.section, 0xcc79a7, 0.2);
@@ -81,10 +82,21 @@ function start(host, data) {
 
   const controls = new OrbitControls(camera, canvas);
   controls.enableDamping = false;
+  const scale = panel.querySelector('.scale');
+  const legend = (kind) => {
+    if (!scale) return;
+    scale.classList.toggle('grey', kind === 'brightness');
+    const [low, high] = kind === 'height' ? [`Z ${hi.toFixed(1)} mm (far)`, `${lo.toFixed(1)} mm (near)`] : ['dark', 'bright'];
+    scale.querySelector('.low').textContent = low;
+    scale.querySelector('.high').textContent = high;
+  };
+  legend('height');
   const centre = new Vector3(...data.focus);
   const first = () => {
-    camera.up.set(0, -1, 0); // v points down in the image
-    camera.position.copy(centre).add(new Vector3(-0.3, 0.6, -1).normalize().multiplyScalar(data.reach * 3.6));
+    camera.up.set(...data.up);
+    // A narrow window must go farther away to show as much.
+    const far = data.reach * 3.9 * Math.max(1, 1.25 / camera.aspect);
+    camera.position.copy(centre).add(new Vector3(...data.view).normalize().multiplyScalar(far));
     controls.target.copy(centre);
     controls.update();
   };
@@ -100,9 +112,9 @@ function start(host, data) {
     camera.updateProjectionMatrix();
     ask();
   };
-  new ResizeObserver(size).observe(host);
-  first();
   size();
+  first();
+  new ResizeObserver(size).observe(host);
 
   const ray = new Raycaster(), pointer = new Vector2();
   ray.params.Points.threshold = data.point_size;
@@ -122,12 +134,12 @@ function start(host, data) {
     });
   });
   canvas.addEventListener('pointerleave', () => { label.textContent = ''; });
-  for (const box of host.querySelectorAll('input[data-layer]')) {
+  for (const box of panel.querySelectorAll('input[data-layer]')) {
     if (!layers[box.dataset.layer]) { box.closest('label').remove(); continue; }
     box.addEventListener('change', () => { layers[box.dataset.layer].visible = box.checked; ask(); });
   }
-  host.querySelector('select')?.addEventListener('change', (e) => { geometry.setAttribute('color', colours[e.target.value]); ask(); });
-  host.querySelector('button')?.addEventListener('click', () => { first(); ask(); });
+  panel.querySelector('select')?.addEventListener('change', (e) => { geometry.setAttribute('color', colours[e.target.value]); legend(e.target.value); ask(); });
+  panel.querySelector('button')?.addEventListener('click', () => { first(); ask(); });
   host.dataset.points = String(n);
   host.dataset.ready = 'yes';
   draw();

@@ -18,7 +18,7 @@ const browser = await chromium.launch({
     '--disable-background-networking', '--disable-component-update', '--disable-sync'],
 });
 for (const [name, width, scheme] of [['wide', 1280, 'light'], ['narrow', 400, 'light'], ['dark', 1280, 'dark']]) {
-  const page = await browser.newPage({ viewport: { width, height: 900 }, colorScheme: scheme });
+  const page = await browser.newPage({ viewport: { width, height: 900 }, colorScheme: scheme, hasTouch: name === 'narrow' });
   page.on('console', (m) => { if (m.type() === 'error') fault(`${name}: console: ${m.text()}`); });
   page.on('pageerror', (e) => fault(`${name}: ${e.message}`));
   page.on('request', (r) => { if (r.url() !== url && !r.url().startsWith('data:')) fault(`${name}: request for ${r.url()}`); });
@@ -48,6 +48,26 @@ for (const [name, width, scheme] of [['wide', 1280, 'light'], ['narrow', 400, 'l
     await page.waitForTimeout(300);
     const after = await canvas.screenshot({ path: `${out}/view-turned.png` });
     if (before.equals(after)) fault('the view does not turn');
+    // Every control does something, and the first view comes back.
+    const look = async () => { await page.mouse.move(2, 2); await page.waitForTimeout(200); return canvas.screenshot(); };
+    let last = after;
+    const changes = async (what, act) => {
+      await act();
+      const now = await look();
+      if (now.equals(last)) fault(`${what} changes nothing`);
+      last = now;
+    };
+    await changes('colour by brightness', () => page.locator('.scene select').selectOption('brightness'));
+    if (!/dark/.test(await page.locator('.scale').textContent())) fault('the scale does not follow the colour');
+    for (const box of await page.locator('.scene input[data-layer]').all()) {
+      await changes(`layer ${await box.getAttribute('data-layer')}`, () => box.uncheck());
+      await changes(`layer ${await box.getAttribute('data-layer')} again`, () => box.check());
+    }
+    await changes('colour by height', () => page.locator('.scene select').selectOption('height'));
+    if (!/mm/.test(await page.locator('.scale').textContent())) fault('heights have no unit');
+    await changes('first view', () => page.locator('.scene button').click());
+    await canvas.scrollIntoViewIfNeeded();
+    if (!(await look()).equals(before)) fault('the first view does not come back');
     // Frames while turning: smooth even on a software renderer.
     const ms = await page.evaluate(async () => {
       const c = document.querySelector('.view-3d canvas'), r = c.getBoundingClientRect(), t0 = performance.now();
@@ -59,6 +79,21 @@ for (const [name, width, scheme] of [['wide', 1280, 'light'], ['narrow', 400, 'l
     });
     console.log(`${points} points, ${ms.toFixed(1)} ms a frame (software rendering)`);
     await page.pdf({ path: `${out}/report.pdf`, format: 'A4' });
+  }
+  if (name === 'narrow') {
+    // One finger turns, two zoom.
+    const touch = await page.context().newCDPSession(page);
+    const send = (type, points) => touch.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([dx, dy], id) => ({ x: x + dx, y: y + dy, id })) });
+    const gesture = async (what, from, to) => {
+      const before = await canvas.screenshot();
+      await send('touchStart', from);
+      for (let k = 1; k <= 5; k++) await send('touchMove', from.map(([fx, fy], i) => [fx + (to[i][0] - fx) * k / 5, fy + (to[i][1] - fy) * k / 5]));
+      await send('touchEnd', []);
+      await page.waitForTimeout(200);
+      if (before.equals(await canvas.screenshot())) fault(`${what} does nothing`);
+    };
+    await gesture('a finger', [[0, 0]], [[70, 20]]);
+    await gesture('two fingers', [[-20, 0], [20, 0]], [[-70, 0], [70, 0]]);
   }
   const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
   if (over > 0) fault(`${name}: the page is ${over} px wider than the window`);

@@ -288,17 +288,25 @@ fn sentence(
     preference: bool,
     worst: &Row,
 ) -> String {
+    let by = if rows.iter().all(|r| r.source == "reference") {
+        "simulated"
+    } else {
+        "fast model"
+    };
     let mut text = if rows.len() == 1 {
-        format!("{}° needs {:.1} N", chosen.angle_deg, chosen.peak_force_n)
+        format!(
+            "{}° needs {:.1} N ({by})",
+            chosen.angle_deg, chosen.peak_force_n
+        )
     } else if !preference {
         format!(
-            "No preference: the peak forces, {:.1} to {:.1} N, differ by less than the model's own \
+            "No preference: the peak forces, {:.1} to {:.1} N ({by}), differ by less than the model's own \
              error; {}° is the lowest in name",
             paper.peak_force_n, worst.peak_force_n, paper.angle_deg
         )
     } else {
         format!(
-            "{}° needs the least force, {:.1} N against {:.1} N at {}°",
+            "{}° needs the least force, {:.1} N against {:.1} N at {}° ({by})",
             paper.angle_deg, paper.peak_force_n, worst.peak_force_n, worst.angle_deg
         )
     };

@@ -124,6 +124,12 @@ pub struct Scene {
     pub focus: [f64; 3],
     /// Half the size of what it shows, mm.
     pub reach_mm: f64,
+    /// Direction from the focus to the eye in the first view.
+    pub view: [f64; 3],
+    /// What is up in it: away from the skin.
+    pub up: [f64; 3],
+    /// Radius of the region that the plane was fitted to, mm.
+    pub radius_mm: f64,
 }
 
 /// The needle in the turnable view, mm.

@@ -17,9 +17,9 @@ pub fn view_rms(c: &Calibration) -> Plot {
         y_label: "RMS / px".into(),
         x_range: Some((0.4, c.views.len() as f64 + 0.6)),
         series: vec![
-            Series::new("view", 0, Kind::Bars(0.7), bars),
+            Series::new("each view", 0, Kind::Bars(0.7), bars),
             Series::new(
-                "all",
+                "all views",
                 1,
                 Kind::Dashed,
                 vec![(0.4, c.rms_px), (c.views.len() as f64 + 0.6, c.rms_px)],
@@ -49,21 +49,40 @@ pub fn residuals(c: &Calibration) -> Plot {
         .flat_map(|v| &v.residuals)
         .map(|r| r[0].hypot(r[1]))
         .fold(0.0, f64::max);
-    // The longest arrow takes about a twentieth of the image's width.
-    let scale = if largest > 0.0 {
-        10f64.powf((f64::from(c.size[0]) / 20.0 / largest).log10().floor())
+    // The longest line takes at most a tenth of the image's width; 1, 2 or 5 with zeros.
+    let room = if largest > 0.0 {
+        f64::from(c.size[0]) / 10.0 / largest
     } else {
         1.0
     };
-    let segments = c
-        .views
-        .iter()
-        .flat_map(|v| v.corners.iter().zip(&v.residuals))
+    let decade = 10f64.powf(room.log10().floor());
+    let scale = decade
+        * [5.0, 2.0, 1.0]
+            .into_iter()
+            .find(|m| m * decade <= room)
+            .unwrap_or(1.0);
+    let corners = || {
+        c.views
+            .iter()
+            .flat_map(|v| v.corners.iter().zip(&v.residuals))
+    };
+    let segments = corners()
         .flat_map(|(p, r)| [(p[0], p[1]), (p[0] + scale * r[0], p[1] + scale * r[1])])
         .collect();
-    let mut plot = image_axes(c, format!("Reprojection residuals, drawn × {scale}"));
-    plot.series
-        .push(Series::new("", 0, Kind::Segments, segments));
+    let feet = corners().map(|(p, _)| (p[0], p[1])).collect();
+    let mut plot = image_axes(
+        c,
+        format!("Reprojection residuals, drawn {scale} times longer"),
+    );
+    plot.series = vec![
+        Series::new(
+            &format!("observed − reprojected, {largest:.3} px at most"),
+            0,
+            Kind::Segments,
+            segments,
+        ),
+        Series::new("corner", 1, Kind::Points, feet),
+    ];
     plot
 }
 
@@ -87,7 +106,7 @@ pub fn tilts(c: &Calibration) -> Plot {
         x_range: Some((-60.0, 60.0)),
         y_range: Some((-60.0, 60.0)),
         series: vec![Series::new(
-            "view",
+            "",
             0,
             Kind::Dots,
             c.views
@@ -116,7 +135,7 @@ pub fn offsets(c: &Calibration) -> Plot {
         .filter_map(|p| Some((p.slide_mm, 1e3 * p.hold_out_mm?)))
         .collect();
     if !held.is_empty() {
-        series.push(Series::new("from the others", 1, Kind::Crosses, held));
+        series.push(Series::new("hold-out, absolute", 1, Kind::Crosses, held));
     }
     Plot {
         title: "Light plane: D predicted − D fitted".into(),

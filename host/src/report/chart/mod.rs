@@ -16,6 +16,7 @@ pub use stripes::{centres, quality};
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Axes, text.
 pub const INK: RGBColor = RGBColor(0x22, 0x22, 0x23);
@@ -141,6 +142,33 @@ impl Plot {
         (low, hi + margin)
     }
 
+    /// Draws title and legend above the chart, where they hide no data; gives their height, px.
+    fn head<DB: DrawingBackend>(
+        &self,
+        area: &DrawingArea<DB, Shift>,
+    ) -> Result<i32, DrawingAreaErrorKind<DB::ErrorType>> {
+        let width = area.dim_in_pixel().0 as i32;
+        let middle = text(16).pos(Pos::new(HPos::Center, VPos::Top));
+        area.draw(&Text::new(self.title.clone(), (width / 2, 8), middle))?;
+        let (mut x, mut y) = (64, 38);
+        let mut named = false;
+        for series in self.series.iter().filter(|s| !s.name.is_empty()) {
+            let style = text(13);
+            let (wide, _) = area.estimate_text_size(&series.name, &style)?;
+            let next = x + 26 + wide as i32 + 20;
+            if named && next > width {
+                (x, y) = (64, y + 18);
+            }
+            let colour = PALETTE[series.colour % PALETTE.len()];
+            key(area, &series.kind, colour, (x, y))?;
+            let words = style.pos(Pos::new(HPos::Left, VPos::Center));
+            area.draw(&Text::new(series.name.clone(), (x + 24, y), words))?;
+            x += 26 + wide as i32 + 20;
+            named = true;
+        }
+        Ok(if named { y + 12 } else { 30 })
+    }
+
     /// Draws on any backend.
     pub fn draw<'a, DB: DrawingBackend + 'a>(
         &self,
@@ -149,11 +177,13 @@ impl Plot {
         let bars = self.series.iter().any(|s| matches!(s.kind, Kind::Bars(_)));
         let x = self.x_range.unwrap_or_else(|| self.range(|p| p.0, false));
         let y = self.y_range.unwrap_or_else(|| self.range(|p| p.1, bars));
-        let mut chart = ChartBuilder::on(area)
-            .caption(&self.title, ("sans-serif", 16).into_font().color(&INK))
-            .margin(8)
-            .x_label_area_size(42)
-            .y_label_area_size(62)
+        let head = self.head(area)?;
+        let (_, body) = area.split_vertically(head);
+        let mut chart = ChartBuilder::on(&body)
+            .margin(6)
+            .margin_right(16)
+            .x_label_area_size(44)
+            .y_label_area_size(64)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         let (fx, fy) = (label_format(x), label_format(y));
         chart
@@ -161,13 +191,13 @@ impl Plot {
             .axis_style(INK)
             .bold_line_style(GRID)
             .light_line_style(TRANSPARENT)
-            .label_style(("sans-serif", 12).into_font().color(&INK))
-            .axis_desc_style(("sans-serif", 13).into_font().color(&INK))
+            .label_style(text(13))
+            .axis_desc_style(text(14))
             .x_desc(&self.x_label)
             .y_desc(&self.y_label)
             .x_label_formatter(&|v| fx(*v))
             .y_label_formatter(&|v| fy(*v))
-            .x_labels(8)
+            .x_labels(7)
             .y_labels(6)
             .draw()?;
         for series in &self.series {
@@ -180,7 +210,7 @@ impl Plot {
                     .filter(|p| p.0.is_finite() && p.1.is_finite())
             };
             let style = colour.stroke_width(2);
-            let drawn = match series.kind {
+            match series.kind {
                 Kind::Line => chart.draw_series(LineSeries::new(points(), style))?,
                 Kind::Dashed => chart.draw_series(DashedLineSeries::new(points(), 6, 4, style))?,
                 Kind::Dots => {
@@ -204,59 +234,59 @@ impl Plot {
                     colour.mix(0.2).filled(),
                 )))?,
             };
-            if !series.name.is_empty() {
-                let kind = series.kind.clone();
-                drawn
-                    .label(&series.name)
-                    .legend(move |(x, y)| key(&kind, colour, x, y));
-            }
         }
-        for (at, word) in &self.marks {
-            if !(*at >= x.0.min(x.1) && *at <= x.0.max(x.1)) {
-                continue;
-            }
-            let top = y.1 - 0.02 * (y.1 - y.0);
+        let inside = |at: f64| at >= x.0.min(x.1) && at <= x.0.max(x.1);
+        for (row, (at, word)) in self.marks.iter().filter(|m| inside(m.0)).enumerate() {
             chart.draw_series(std::iter::once(PathElement::new(
                 vec![(*at, y.0), (*at, y.1)],
                 INK.mix(0.6).stroke_width(1),
             )))?;
-            chart.draw_series(std::iter::once(Text::new(
-                word.clone(),
-                (*at, top),
-                ("sans-serif", 11).into_font().color(&INK),
-            )))?;
-        }
-        if self.series.iter().any(|s| !s.name.is_empty()) {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
-                .label_font(("sans-serif", 12).into_font().color(&INK))
-                .border_style(GRID)
-                .draw()?;
+            // Words one under the other, on the side where there is room.
+            let right = (at - x.0) / (x.1 - x.0) > 0.6;
+            let side = if right { HPos::Right } else { HPos::Left };
+            let style = text(12).pos(Pos::new(side, VPos::Top));
+            let shift = (if right { -4 } else { 4 }, 2 + 15 * row as i32);
+            chart.draw_series(std::iter::once(
+                EmptyElement::at((*at, y.1)) + Text::new(word.clone(), shift, style),
+            ))?;
         }
         area.present()
     }
 }
 
-/// The legend's key of a series: every kind as a path, since a legend takes one type of element.
-fn key(kind: &Kind, colour: RGBColor, x: i32, y: i32) -> PathElement<(i32, i32)> {
-    let (points, width) = match kind {
-        Kind::Dots | Kind::Points => (vec![(x + 6, y), (x + 11, y)], 5),
-        Kind::Crosses => (
-            vec![
-                (x + 5, y - 4),
-                (x + 13, y + 4),
-                (x + 9, y),
-                (x + 13, y - 4),
-                (x + 5, y + 4),
-            ],
-            2,
-        ),
-        Kind::Bars(_) | Kind::Area => (vec![(x + 2, y), (x + 16, y)], 9),
-        Kind::Dashed => (vec![(x, y), (x + 6, y)], 2),
-        Kind::Line | Kind::Segments => (vec![(x, y), (x + 18, y)], 2),
+/// Words in the page's ink.
+fn text(size: u32) -> TextStyle<'static> {
+    ("sans-serif", size).into_font().color(&INK)
+}
+
+/// The legend's key of a series, its middle at (x + 9, y).
+fn key<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    kind: &Kind,
+    colour: RGBColor,
+    (x, y): (i32, i32),
+) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
+    let style = colour.stroke_width(2);
+    let line = |from: i32, to: i32, style| {
+        area.draw(&PathElement::new(vec![(x + from, y), (x + to, y)], style))
     };
-    PathElement::new(points, colour.stroke_width(width))
+    match kind {
+        Kind::Dots | Kind::Points => area.draw(&Circle::new((x + 9, y), 3, colour.filled())),
+        Kind::Crosses => area.draw(&Cross::new((x + 9, y), 4, style)),
+        Kind::Bars(_) => {
+            let corners = [(x + 4, y - 5), (x + 14, y + 5)];
+            area.draw(&Rectangle::new(corners, colour.filled()))
+        }
+        Kind::Area => {
+            let corners = [(x + 2, y - 5), (x + 16, y + 5)];
+            area.draw(&Rectangle::new(corners, colour.mix(0.2).filled()))
+        }
+        Kind::Dashed => {
+            line(0, 7, style)?;
+            line(11, 18, style)
+        }
+        Kind::Line | Kind::Segments => line(0, 18, style),
+    }
 }
 
 /// As many decimals as the range needs.

@@ -21,21 +21,35 @@ pub fn centres(s: &StripeSample) -> Plot {
     plot
 }
 
-/// Standard deviation of the centre along the stripe.
+/// Below this quality a centre is drawn apart.
+const POOR: f64 = 0.5;
+
+/// Standard deviation of the centre along the whole stripe, poor centres apart.
 pub fn quality(s: &StripeSample) -> Plot {
+    let pick = |poor: bool| {
+        let centres = s.centres.iter().filter(move |c| (c[3] < POOR) == poor);
+        centres.map(|c| (c[0], c[2])).collect::<Vec<_>>()
+    };
+    let poor = pick(true);
+    let mut series = vec![Series::new(
+        &format!("quality {POOR} and better"),
+        0,
+        Kind::Points,
+        pick(false),
+    )];
+    if !poor.is_empty() {
+        series.push(Series::new(
+            &format!("quality below {POOR}"),
+            1,
+            Kind::Crosses,
+            poor,
+        ));
+    }
     Plot {
-        title: format!(
-            "Stripe at {:.1} mm: standard deviation of its centre",
-            s.slide_mm
-        ),
+        title: format!("σ of the centre along the stripe at {:.1} mm", s.slide_mm),
         x_label: "u / px".into(),
         y_label: "σ / px".into(),
-        series: vec![Series::new(
-            "",
-            0,
-            Kind::Dots,
-            s.centres.iter().map(|c| (c[0], c[2])).collect(),
-        )],
+        series,
         ..Plot::default()
     }
 }

@@ -2,6 +2,7 @@
 
 mod calibration;
 mod needle;
+mod paper;
 mod provenance;
 mod puncture;
 mod scene;
@@ -30,8 +31,8 @@ pub fn render(report: &Report) -> String {
             }
             body {
                 main {
-                    h1 { "Needle path: " (report.title) }
-                    p.soft { (report.provenance.time) " · " (report.provenance.program) }
+                    h1 { "Needle insertion: " (report.title) }
+                    p.soft { (report.provenance.time.replace('T', " ").replace('Z', " UTC")) " · " (report.provenance.program) }
                     (needle::top(report))
                     @if let Some(s) = &report.scene { (scene::section(s)) }
                     (provenance::truth(&report.truth))
@@ -50,7 +51,7 @@ pub fn render(report: &Report) -> String {
 
 /// A chart as a figure.
 fn chart(plot: &Plot) -> Markup {
-    html! { figure role="img" aria-label=(plot.title) { (PreEscaped(plot.svg(560, 360))) } }
+    html! { figure role="img" aria-label=(plot.title) { (PreEscaped(plot.svg(480, 350))) } }
 }
 
 /// Fixed decimals with a true minus.
@@ -70,14 +71,32 @@ fn number(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A vector in parentheses.
-fn vector(v: &[f64; 3], decimals: usize) -> String {
-    format!(
-        "({}, {}, {})",
-        number(v[0], decimals),
-        number(v[1], decimals),
-        number(v[2], decimals)
-    )
+/// Decimals that show two digits of a standard deviation.
+fn decimals(sigma: f64) -> usize {
+    if sigma > 0.0 && sigma.is_finite() {
+        (1.0 - sigma.log10().floor()).clamp(0.0, 9.0) as usize
+    } else {
+        5
+    }
+}
+
+/// Three decimals, or a power of ten for what would vanish with them.
+fn scientific(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() || value.abs() >= 1e-2 {
+        return number(value, 3);
+    }
+    let power = value.abs().log10().floor();
+    let digits: String = format!("{power}")
+        .chars()
+        .map(|c| match c {
+            '-' => '⁻',
+            c => c
+                .to_digit(10)
+                .and_then(|d| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(d as usize))
+                .unwrap_or(c),
+        })
+        .collect();
+    format!("{} × 10{digits}", number(value / 10f64.powf(power), 3))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The top of the page: angle, verdict, entry and axis, the picture; and the stripes.
 
 use super::table::table;
-use super::{chart, number};
+use super::{chart, decimals, number};
 use crate::report::chart as charts;
 use crate::report::model::{Needle, Picture, Report, StripeSample, Verdict};
 use crate::report::raster;
@@ -13,6 +13,7 @@ pub fn top(report: &Report) -> Markup {
         div.top {
             div {
                 @if let Some(n) = &report.needle { (angle(n)) }
+                @else if report.verdict.is_some() { p.angle { "No angle" } }
                 @if let Some(v) = &report.verdict { (verdict(v)) }
                 @if let Some(n) = &report.needle { (details(n)) }
             }
@@ -27,7 +28,7 @@ fn angle(n: &Needle) -> Markup {
             (number(n.angle_deg, 1)) "°"
             small { " ± " (number(n.angle_sigma_deg, 2)) "° (1 σ)" }
         }
-        p.soft { "to the plane of the skin at the entry; angle from " (n.angle_source) "." }
+        p.soft { "needle to the plane of the skin at the entry; wanted angle from " (n.angle_source) ", ± what the measured plane leaves open." }
     }
 }
 
@@ -37,11 +38,12 @@ fn verdict(v: &Verdict) -> Markup {
             strong {
                 @if !v.usable { "Not usable" }
                 @else if v.warnings.is_empty() { "Usable" }
-                @else { "Measured; read this first" }
+                @else { "Usable, but read this first" }
             }
             @if v.usable && v.warnings.is_empty() { ": nothing that was checked speaks against it." }
             @if !v.reasons.is_empty() { ul { @for r in &v.reasons { li { (r) } } } }
             @if !v.warnings.is_empty() {
+                @if !v.usable { "Beside that:" }
                 ul { @for w in &v.warnings { li { (w) } } }
             }
         }
@@ -55,9 +57,9 @@ fn details(n: &Needle) -> Markup {
                 thead { tr { th { (f.name) " frame" } th { "X" } th { "Y" } th { "Z" } } }
                 tbody {
                     (row("entry / mm", &f.entry_mm, 3))
-                    (row("needle axis", &f.axis, 5))
-                    (row("plane's normal", &f.normal, 5))
-                    (row("vein's direction", &f.vein, 5))
+                    (row("needle axis", &f.axis, 4))
+                    (row("plane’s normal", &f.normal, 4))
+                    (row("vein’s direction", &f.vein, 4))
                 }
             } }
         }
@@ -92,17 +94,18 @@ fn picture(p: &Picture) -> Markup {
             div.drawn {
                 img src=(raster::data_uri(&raster::brightened(&p.image))) alt="The hand, with entry, vein, region and needle drawn on it" width=(p.image.width) height=(p.image.height);
                 svg viewBox=(format!("0 0 {} {}", p.image.width, p.image.height)) aria-hidden="true" {
-                    polygon points=(path(&p.region)) fill="#0072B2" fill-opacity="0.18" stroke="#56B4E9" stroke-width=(stroke) {}
+                    @if !p.region.is_empty() { polygon points=(path(&p.region)) fill="#0072B2" fill-opacity="0.18" stroke="#56B4E9" stroke-width=(stroke) {} }
                     polyline points=(path(&p.vein)) fill="none" stroke="#CC79A7" stroke-width=(1.5 * stroke) stroke-dasharray=(format!("{} {}", 5.0 * stroke, 3.0 * stroke)) {}
-                    polyline points=(path(&p.needle)) fill="none" stroke="#E69F00" stroke-width=(2.0 * stroke) {}
+                    @if !p.needle.is_empty() { polyline points=(path(&p.needle)) fill="none" stroke="#E69F00" stroke-width=(2.0 * stroke) {} }
                     circle cx=(p.entry[0] + 0.5) cy=(p.entry[1] + 0.5) r=(2.5 * stroke) fill="#D55E00" stroke="#fff" stroke-width=(0.6 * stroke) {}
                 }
             }
             figcaption {
                 span.key style="background:#D55E00" {} "entry · "
-                span.key style="background:#E69F00" {} "needle before the entry · "
-                span.key style="background:#CC79A7" {} "vein · "
-                span.key style="background:#56B4E9" {} "region of the plane (brightened image)"
+                @if !p.needle.is_empty() { span.key style="background:#E69F00" {} "needle before the entry · " }
+                span.key style="background:#CC79A7" {} "vein, as given"
+                @if !p.region.is_empty() { " · " span.key style="background:#56B4E9" {} "region of the plane" }
+                " (image brightened)"
             }
         }
     }
@@ -113,27 +116,31 @@ pub fn stripes(samples: &[StripeSample]) -> Markup {
     html! {
         @if !samples.is_empty() {
             h2 { "Stripes" }
-            p.soft { "Pieces of scan frames with the extracted centre drawn at sub-pixel scale; below each, the standard deviation of every centre." }
-            div.charts { @for s in samples { (sample(s)) } }
+            p.soft { "Pieces of scan frames beside the entry, every pixel drawn large, with the extracted centres at sub-pixel scale (" span.key style="background:#D55E00" {} "quality 0.5 and better, " span.key style="background:#56B4E9" {} "below); under each, σ of every centre of the whole stripe." }
+            div.charts.three { @for s in samples { (sample(s)) } }
         }
     }
 }
 
 fn sample(s: &StripeSample) -> Markup {
     let at = |c: &[f64; 4]| (c[0] - s.origin[0] + 0.5, c[1] - s.origin[1] + 0.5);
+    let inside = |c: &&[f64; 4]| {
+        let (x, y) = at(c);
+        (0.0..s.image.width as f64).contains(&x) && (0.0..s.image.height as f64).contains(&y)
+    };
     html! {
         div {
             figure {
                 div.drawn.zoomed {
                     img src=(raster::data_uri(&raster::brightened(&s.image))) alt=(format!("Piece of {}", s.name)) width=(s.image.width) height=(s.image.height);
                     svg viewBox=(format!("0 0 {} {}", s.image.width, s.image.height)) aria-hidden="true" {
-                        @for c in &s.centres {
+                        @for c in s.centres.iter().filter(inside) {
                             @let (x, y) = at(c);
-                            circle cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r="0.22" fill=(if c[3] >= 0.5 { "#D55E00" } else { "#E69F00" }) {}
+                            circle cx=(format!("{x:.3}")) cy=(format!("{y:.3}")) r="0.25" fill=(if c[3] >= 0.5 { "#D55E00" } else { "#56B4E9" }) {}
                         }
                     }
                 }
-                figcaption { (s.name) ", slide at " (number(s.slide_mm, 2)) " mm" }
+                figcaption { (s.name) ", slide at " (number(s.slide_mm, 2)) " mm; u " (s.origin[0]) " to " (s.origin[0] + s.image.width as f64 - 1.0) ", v " (s.origin[1]) " to " (s.origin[1] + s.image.height as f64 - 1.0) " px" }
             }
             (chart(&charts::quality(s)))
         }
@@ -147,11 +154,18 @@ pub fn parameters(rows: &[(String, f64, Option<f64>, String)]) -> Markup {
         .map(|(name, value, sigma, unit)| {
             vec![
                 name.clone(),
-                number(*value, 5),
-                sigma.map_or("–".into(), |s| number(s, 5)),
-                unit.clone(),
+                number(*value, sigma.map_or(5, decimals)),
+                sigma.map_or("–".into(), |s| number(s, decimals(s))),
+                if unit.is_empty() {
+                    "–".into()
+                } else {
+                    unit.clone()
+                },
             ]
         })
         .collect();
-    table("Parameters", &["", "value", "σ", "unit"], &rows)
+    html! { @if !rows.is_empty() { div {
+        (table("Parameters", &["", "value", "σ", "unit"], &rows))
+        p.soft { "Each with two digits of its standard deviation (1 σ)." }
+    } } }
 }

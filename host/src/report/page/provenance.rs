@@ -38,9 +38,14 @@ pub fn section(p: &Provenance) -> Markup {
         .collect();
     html! {
         h2 { "Provenance" }
-        p { (p.program) @if !p.session.is_empty() { "; session " code { (p.session) } } "; " (p.time) "." }
-        @if !p.command.is_empty() { p { code { (p.command) } } }
-        (table("Time per stage", &["stage", "ms"], &stages))
-        (table("Settings and thresholds", &["name", "value"], &settings))
+        p { (p.program) ", " (p.time) @if !p.session.is_empty() { "; session " code { (p.session) } } "." }
+        @if !p.command.is_empty() { p { "Made by " code { (p.command) } } }
+        div.tables {
+            @if !stages.is_empty() { div {
+                (table("Time per stage", &["stage", "ms"], &stages))
+                p.soft { "Summed over threads; reading is decoding the images." }
+            } }
+            div { (table("Settings and thresholds", &["name", "value"], &settings)) }
+        }
     }
 }

@@ -8,13 +8,15 @@ use maud::{Markup, PreEscaped, html};
 pub fn section(s: &Scene) -> Markup {
     html! {
         h2 { "The scan in space" }
+        div.scene {
         div.controls {
             label { "colour " select { option value="height" { "height" } option value="brightness" { "brightness" } } }
+            span.scale { span.low {} i {} span.high {} }
             label { input type="checkbox" data-layer="cloud" checked; " cloud" }
             label { input type="checkbox" data-layer="plane" checked; " " span.key style="background:#0072b2" {} "plane" }
             label { input type="checkbox" data-layer="section" checked; " " span.key style="background:#cc79a7" {} "vein's section plane" }
             label { input type="checkbox" data-layer="vein" checked; " " span.key style="background:#56b4e9" {} "vein" }
-            label { input type="checkbox" data-layer="needle" checked; " " span.key style="background:#d55e00" {} "needle" }
+            label { input type="checkbox" data-layer="needle" checked; " needle: " span.key style="background:#888888" {} "before, " span.key style="background:#d55e00" {} "in the hand" }
             button type="button" { "first view" }
         }
         div.view-3d data-scene="scene-data" {
@@ -22,7 +24,8 @@ pub fn section(s: &Scene) -> Markup {
             div.under-pointer {}
             p.no-view { "This browser has no WebGL; the cloud is in cloud.ply." }
         }
-        p.soft { (s.points.len()) " points. Drag to turn, wheel or pinch to zoom, right drag or two fingers to pan; the point under the pointer is given in the camera's frame." }
+        }
+        p.soft { (s.points.len()) " points. Drag to turn, wheel or pinch to zoom, right drag or two fingers to pan; the measured point under the pointer is given in the camera’s frame (X right, Y down, Z away). The plane’s square is " (super::number(2.0 * s.radius_mm, 0)) " mm wide." }
         script type="application/json" id="scene-data" { (PreEscaped(data(s))) }
     }
 }
@@ -53,6 +56,8 @@ fn data(s: &Scene) -> String {
         })),
         "focus": s.focus,
         "reach": s.reach_mm,
+        "view": s.view,
+        "up": s.up,
     })
     .to_string()
 }

@@ -9,7 +9,7 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
         @if !rows.is_empty() {
             @if !caption.is_empty() { h3 { (caption) } }
             div.scroll { table {
-                thead { tr { @for h in head { th { (h) } } } }
+                thead { tr { @for (k, h) in head.iter().enumerate() { th.text[rows.iter().any(|r| r.get(k).is_some_and(|c| is_text(c)))] { (h) } } } }
                 tbody { @for row in rows { tr { @for cell in row { (self::cell(cell)) } } } }
             } }
         }
@@ -24,6 +24,9 @@ pub fn given(caption: &str, t: &Table) -> Markup {
 
 /// Long words wrap and stand left, numbers do not.
 fn cell(text: &str) -> Markup {
-    let words = text.len() > 24;
-    html! { td.text[words] { (text) } }
+    html! { td.text[is_text(text)] { (text) } }
+}
+
+fn is_text(cell: &str) -> bool {
+    cell.chars().count() > 30
 }

@@ -7,7 +7,7 @@ use crate::puncture::tissue::Setup;
 use crate::report::model::{Puncture, PunctureRun, Table};
 
 /// Said wherever a force is shown: what the model can't be trusted with.
-const CAUTION: &str = "The forces are a model's, with assumed toughness and strength; clinical practice is 15–30°. The order of the angles follows mostly from friction times path.";
+const CAUTION: &str = "The forces are a model's, with assumed toughness and strength; clinical practice is 15–30°. The order of the angles follows mostly from friction times path. «Simulated» is the reference model (finite elements with a cutting needle), «fast model» a closed form fitted to it, with its own error: the two differ by that much.";
 
 /// The section of a decision by the fast model alone.
 pub fn decided(d: &Decision, setup: &Setup) -> Puncture {
@@ -81,6 +81,11 @@ fn decision(d: &Decision) -> Table {
             format!("{:.0}", r.angle_deg),
             format!("{:.2}", r.peak_force_n),
             format!("{:.2}", r.peak_error_n),
+            match r.source {
+                "reference" => "simulated",
+                _ => "fast model",
+            }
+            .to_owned(),
             format!("{:.2}", r.work_n_mm),
             format!("{:.2}", r.path_mm),
             format!("{:.2}", r.duration_s),
@@ -98,9 +103,10 @@ fn decision(d: &Decision) -> Table {
             "angle / °",
             "peak / N",
             "σ / N",
+            "force by",
             "work / N·mm",
-            "path / mm",
-            "time / s",
+            "path to the lumen / mm",
+            "time for it / s",
             "clearance to far wall / mm",
             "straight length in lumen / mm",
             "against it",

@@ -62,6 +62,17 @@ pub fn verdict(m: &Measurement) -> Verdict {
     }
 }
 
+/// Distance between neighbouring points along a stripe: the median over the cloud, mm.
+fn spacing(m: &Measurement) -> f64 {
+    let pairs = m.cloud.windows(2).filter_map(|w| match w {
+        [p, q] if p.frame == q.frame => Some((p.position - q.position).norm()),
+        _ => None,
+    });
+    let mut apart: Vec<f64> = pairs.collect();
+    apart.sort_by(f64::total_cmp);
+    apart.get(apart.len() / 2).copied().unwrap_or(0.3)
+}
+
 /// The turnable view.
 pub fn scene(m: &Measurement) -> Scene {
     let d = &m.decision;
@@ -75,6 +86,9 @@ pub fn scene(m: &Measurement) -> Scene {
     let corner = |s: f64, t: f64| {
         three(&(centre + basis.column(0) * (s * r) + basis.column(1) * (t * r)).coords)
     };
+    // Of the two sides of the section plane, the one that the camera is nearer to.
+    let across = d.direction.cross(&d.plane.normal);
+    let side = if across.z > 0.0 { -across } else { across };
     let path = &d.needle.path;
     // The section plane holds vein and normal: drawn from above the entry to under the vein.
     let along = d.direction * r;
@@ -93,7 +107,7 @@ pub fn scene(m: &Measurement) -> Scene {
         brightness: kept()
             .map(|p| (255.0 * p.intensity / brightest).clamp(0.0, 255.0) as u8)
             .collect(),
-        point_size_mm: 0.3 * (every as f64).sqrt(),
+        point_size_mm: spacing(m) * (every as f64).sqrt(),
         plane: Some([
             corner(-1.0, -1.0),
             corner(1.0, -1.0),
@@ -115,5 +129,9 @@ pub fn scene(m: &Measurement) -> Scene {
         }),
         focus: three(&d.entry.coords),
         reach_mm: 2.2 * r,
+        // From the side, so that the needle's angle to the plane is seen, and from above.
+        view: three(&(side * 0.8 - d.plane.normal * 0.6)),
+        up: three(&-d.plane.normal),
+        radius_mm: r,
     }
 }
