@@ -24,6 +24,25 @@ pub fn base64(bytes: &[u8]) -> String {
     STANDARD.encode(bytes)
 }
 
+/// Every pixel as a square of so many: scaling by the browser would smooth it, and its pixelated
+/// scaling does not survive printing.
+pub fn enlarged(image: &Gray, times: usize) -> Gray {
+    let wide = |row: &[u8]| -> Vec<u8> {
+        row.iter()
+            .flat_map(|&p| std::iter::repeat_n(p, times))
+            .collect()
+    };
+    Gray {
+        width: image.width * times,
+        height: image.height * times,
+        pixels: image
+            .pixels
+            .chunks(image.width.max(1))
+            .flat_map(|row| wide(row).repeat(times))
+            .collect(),
+    }
+}
+
 /// Brightens an image so that its 99.5th percentile becomes white: recordings are dark.
 pub fn brightened(image: &Gray) -> Gray {
     let mut counts = [0usize; 256];
@@ -63,6 +82,18 @@ mod tests {
             .unwrap();
         let back = ::image::load_from_memory(&bytes).unwrap().to_luma8();
         assert_eq!(back.into_raw(), image.pixels);
+    }
+
+    #[test]
+    fn pixels_become_squares() {
+        let image = Gray {
+            width: 2,
+            height: 1,
+            pixels: vec![7, 9],
+        };
+        let large = enlarged(&image, 2);
+        assert_eq!((large.width, large.height), (4, 2));
+        assert_eq!(large.pixels, [7, 7, 9, 9, 7, 7, 9, 9]);
     }
 
     #[test]

@@ -235,7 +235,7 @@ pub fn limits() -> [(&'static str, String); 5] {
     [
         (
             "light planes: travel off the normal refused, named at",
-            pair((ANGLE.0.to_degrees(), ANGLE.1.to_degrees()), "°"),
+            format!("{:.0}°, {:.0}°", ANGLE.0.to_degrees(), ANGLE.1.to_degrees()),
         ),
         (
             "light planes: |a| beyond the cosine refused, named at",

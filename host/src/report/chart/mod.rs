@@ -176,7 +176,11 @@ impl Plot {
     ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
         let bars = self.series.iter().any(|s| matches!(s.kind, Kind::Bars(_)));
         let x = self.x_range.unwrap_or_else(|| self.range(|p| p.0, false));
-        let y = self.y_range.unwrap_or_else(|| self.range(|p| p.1, bars));
+        let y = self.y_range.unwrap_or_else(|| {
+            let (low, high) = self.range(|p| p.1, bars);
+            // Room for the marks' words above the data.
+            (low, high + 0.065 * self.marks.len() as f64 * (high - low))
+        });
         let head = self.head(area)?;
         let (_, body) = area.split_vertically(head);
         let mut chart = ChartBuilder::on(&body)

@@ -62,7 +62,7 @@ pub fn force_over_angle(p: &Puncture) -> Plot {
         })
         .collect();
     if !runs.is_empty() {
-        series.push(Series::new("reference", 1, Kind::Dots, runs));
+        series.push(Series::new("simulated", 1, Kind::Dots, runs));
     }
     Plot {
         title: "Peak force over the needle's angle".into(),

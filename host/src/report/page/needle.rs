@@ -131,8 +131,8 @@ fn sample(s: &StripeSample) -> Markup {
     html! {
         div {
             figure {
-                div.drawn.zoomed {
-                    img src=(raster::data_uri(&raster::brightened(&s.image))) alt=(format!("Piece of {}", s.name)) width=(s.image.width) height=(s.image.height);
+                div.drawn {
+                    img src=(raster::data_uri(&raster::enlarged(&raster::brightened(&s.image), 8))) alt=(format!("Piece of {}", s.name)) width=(s.image.width) height=(s.image.height);
                     svg viewBox=(format!("0 0 {} {}", s.image.width, s.image.height)) aria-hidden="true" {
                         @for c in s.centres.iter().filter(inside) {
                             @let (x, y) = at(c);

@@ -5,12 +5,22 @@ use maud::{Markup, html};
 
 /// A table with a caption above.
 pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
+    // A column with long words in it wraps and stands left; numbers do not.
+    let text: Vec<bool> = (0..head.len())
+        .map(|k| {
+            let mut cells = rows.iter().filter_map(|r| r.get(k));
+            cells.any(|c| c.chars().count() > 30)
+        })
+        .collect();
+    let is_text = |k: usize| text.get(k).copied().unwrap_or(false);
     html! {
         @if !rows.is_empty() {
             @if !caption.is_empty() { h3 { (caption) } }
             div.scroll { table {
-                thead { tr { @for (k, h) in head.iter().enumerate() { th.text[rows.iter().any(|r| r.get(k).is_some_and(|c| is_text(c)))] { (h) } } } }
-                tbody { @for row in rows { tr { @for cell in row { (self::cell(cell)) } } } }
+                thead { tr { @for (k, h) in head.iter().enumerate() { th.text[is_text(k)] { (h) } } } }
+                tbody { @for row in rows { tr {
+                    @for (k, cell) in row.iter().enumerate() { td.text[is_text(k)] { (cell) } }
+                } } }
             } }
         }
     }
@@ -20,13 +30,4 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
 pub fn given(caption: &str, t: &Table) -> Markup {
     let head: Vec<&str> = t.head.iter().map(String::as_str).collect();
     table(caption, &head, &t.rows)
-}
-
-/// Long words wrap and stand left, numbers do not.
-fn cell(text: &str) -> Markup {
-    html! { td.text[is_text(text)] { (text) } }
-}
-
-fn is_text(cell: &str) -> bool {
-    cell.chars().count() > 30
 }
