@@ -136,6 +136,12 @@ pub fn measure_and_write(
     }
     let robot = session.manifest.robot_from_camera.as_ref();
     let result = write_measured(folder, &measured, method, args, robot, times, begun)?;
+    out.detail(&super::summary::times(times));
+    if out.verbose > 1 {
+        for (name, value) in report::settings(method, &settings) {
+            out.detail(&format!("{name}: {value}"));
+        }
+    }
     Ok((result, measured))
 }
 
@@ -155,12 +161,6 @@ pub fn write_measured(
         Ok(write_cloud(folder, &measured.cloud, args)?)
     })?;
     result.seconds = seconds(times, begun);
-    out.detail(&super::summary::times(times));
-    if out.verbose > 1 {
-        for (name, value) in report::settings(method, &settings) {
-            out.detail(&format!("{name}: {value}"));
-        }
-    }
     // The result last: where it stands, all else stands.
     write_json(&folder.join("result.json"), &result)?;
     Ok(result)

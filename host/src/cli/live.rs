@@ -2,19 +2,15 @@
 //! it is matched, so that the result stands right after the last one.
 
 use super::Output;
-use super::job::{NeedleArgs, decision_words, write_measured};
+use super::job::{NeedleArgs, decision_words, doubt, write_measured, write_report};
 use crate::calibration::RigModel;
-use crate::geometry::Camera;
 use crate::image::{Image, Pixel};
 use crate::needle::EntryRequest;
-use crate::output::ResultFile;
+use crate::output::{CalibrationFile, ResultFile};
 use crate::pipeline::{
     FrameResult, Measurement, Method, PipelineError, Reconstruction, Stage, Times, exposed,
 };
 use crate::progress::Progress;
-use crate::puncture::default_decision;
-use crate::puncture::tissue::Setup;
-use crate::report;
 use crate::rig::acquisition::{Shot, Sweep};
 use crate::rig::camera::Picture;
 use crate::session::{Entry, Session};
@@ -88,7 +84,6 @@ pub struct Finished {
     pub after: Duration,
     times: Times,
     begun: Instant,
-    camera: Camera,
 }
 
 impl Live {
@@ -155,7 +150,6 @@ impl Live {
             after: last.elapsed(),
             times: self.times,
             begun,
-            camera: self.rig.camera,
         })
     }
 }
@@ -181,7 +175,14 @@ fn decide<P: Pixel>(
 
 impl Finished {
     /// Adds what is weak, and says it.
-    pub fn warn(&mut self, weak: Vec<String>, needle: &NeedleArgs, out: &Output) {
+    pub fn warn(
+        &mut self,
+        weak: Vec<String>,
+        calibration: &CalibrationFile,
+        needle: &NeedleArgs,
+        out: &Output,
+    ) {
+        doubt(calibration, &mut self.measured, self.begun, out);
         for words in weak.into_iter().chain(decision_words(needle.settings().1)) {
             out.warn(&words);
             self.measured.warnings.push(words);
@@ -193,6 +194,7 @@ impl Finished {
         &self,
         folder: &Path,
         session: &Session,
+        calibration: &CalibrationFile,
         needle: &NeedleArgs,
     ) -> anyhow::Result<ResultFile> {
         let (measured, times) = (&self.measured, &self.times);
@@ -206,19 +208,17 @@ impl Finished {
             times,
             self.begun,
         )?;
-        let (settings, source) = needle.settings();
-        let page = report::assemble(report::Sources {
+        write_report(
             session,
-            calibrated: None,
-            camera: &self.camera,
+            None,
+            calibration,
             measured,
-            angle_source: source.words(),
-            settings: report::settings(Method::Ml.name(), &settings),
-            puncture: Some(report::decided(&default_decision(), &Setup::default())),
-            truth: Vec::new(),
+            Method::Ml,
+            needle,
+            Vec::new(),
             times,
-        })?;
-        report::write(&page, &folder.join("report.html"))?;
+            folder,
+        )?;
         Ok(result)
     }
 }

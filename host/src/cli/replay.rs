@@ -109,9 +109,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     complain(&sweep, Duration::ZERO, out);
     let finished = live.decide(entry, &args.needle);
     let mut finished = finished.with_context(|| session.file().display().to_string())?;
-    finished.warn(weak, &args.needle, out);
+    finished.warn(weak, &calibration, &args.needle, out);
     if let Some(folder) = &args.out {
-        finished.write(folder, &session, &args.needle)?;
+        finished.write(folder, &session, &calibration, &args.needle)?;
     }
     let (measured, after) = (&finished.measured, finished.after.as_secs_f64() * 1000.0);
     let object = json!({

@@ -122,9 +122,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     // The recording stands; now whether it gave an angle.
     let finished = finished.unwrap_or_else(|| Err(anyhow::anyhow!("no frame arrived")));
     let mut finished = finished.with_context(|| scanned.session.display().to_string())?;
-    finished.warn(weak, &args.needle, out);
+    finished.warn(weak, &calibration, &args.needle, out);
     let session = Session::open(recording.folder())?;
-    let result = finished.write(&args.out, &session, &args.needle)?;
+    let result = finished.write(&args.out, &session, &calibration, &args.needle)?;
     let after = finished.after.as_secs_f64() * 1000.0;
     let object = json!({
         "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
