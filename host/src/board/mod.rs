@@ -14,6 +14,7 @@ mod noise;
 mod refine;
 mod response;
 mod search;
+mod site;
 pub mod subpixel;
 #[cfg(test)]
 mod tests;

@@ -2,7 +2,7 @@
 //! of the board at all.
 
 use super::edge_model::index;
-use super::refine::Site;
+use super::site::Site;
 
 /// Standard deviations of the residual, grey: on dark and bright flats and on the edges between.
 /// (Shot noise makes the bright noisier; a point spread that is not quite Gaussian shows on edges.)

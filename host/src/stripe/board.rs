@@ -473,24 +473,28 @@ struct Border {
 fn border<P: Pixel>(off: &Image<P>, start: &Start, dark: f32, noise: &Noise) -> Option<Border> {
     let reach = (3.5 * start.width).ceil() as isize;
     let middle = start.centre.round() as isize;
+    let rows = (middle - reach).max(0)..(middle + reach + 1).min(off.height() as isize);
+    let value = |v: isize| -> f32 { off.at(usize::from(start.u), v as usize).into() };
     let (mut low, mut high) = (f32::INFINITY, 0.0_f32);
-    let (mut mass, mut moment) = (1e-6_f32, 0.0_f32);
-    for v in middle - reach..=middle + reach {
-        if v < 0 || v >= off.height() as isize {
-            continue;
-        }
-        let x: f32 = off.at(usize::from(start.u), v as usize).into();
+    for v in rows.clone() {
+        let x = value(v);
         low = low.min(x);
         high = high.max(x);
-        let d = v as f32 - start.centre;
-        let t = d / start.width;
-        let light = (x - dark).max(0.0) * (-0.5 * t * t).exp();
-        mass += light;
-        moment += light * d;
     }
     // Eight standard deviations: noise alone never looks like a border.
     let step = high - low;
-    (step * step > 64.0 * (noise.read + noise.shot * high)).then(|| Border {
+    if step * step <= 64.0 * (noise.read + noise.shot * high) {
+        return None;
+    }
+    let (mut mass, mut moment) = (1e-6_f32, 0.0_f32);
+    for v in rows {
+        let d = v as f32 - start.centre;
+        let t = d / start.width;
+        let light = (value(v) - dark).max(0.0) * (-0.5 * t * t).exp();
+        mass += light;
+        moment += light * d;
+    }
+    Some(Border {
         moved: moment / mass,
         white: (high - dark).max(1.0),
     })
