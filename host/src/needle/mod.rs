@@ -2,7 +2,7 @@
 //!
 //! The entry pixel's ray meets the measured surface ([`surface`]); the plane is fitted to all of
 //! the surface within `radius_mm` of that point, each piece weighted by its area ([`plane`]); the
-//! vein's pixels meet the surface likewise and their line is laid into the plane along its normal
+//! vein's pixels meet the surface likewise, smoothed more broadly, and their line is laid into the plane along its normal
 //! ([`axis`]). Every result carries the covariance of calibration, stripe and sampling
 //! ([`uncertainty`]). [`decide`] does it all, or says with numbers why it will not.
 
@@ -165,7 +165,17 @@ pub fn decide(
     let start = surface::near(cloud, &request.pixel, &ray)?;
     let frame = local_frame(cloud, &start, request.radius_mm, rig, limits)?;
     let reach = reach(cloud, request, &start);
-    let surface = Surface::build(cloud, &frame, request.radius_mm, reach, limits.gap_mm);
+    let build = |smooth| {
+        Surface::build(
+            cloud,
+            &frame,
+            request.radius_mm,
+            reach,
+            limits.gap_mm,
+            smooth,
+        )
+    };
+    let (surface, broad) = (build(surface::FINE_MM), build(surface::BROAD_MM));
     let paper = settings.method == PlaneMethod::Paper;
 
     // In the paper's way the region is centred on the same point; only the fit differs.
@@ -214,11 +224,11 @@ pub fn decide(
             limit_deg: limits.obliquity.to_degrees(),
         });
     }
-    let meet = |ray: &Vector3, how| -> Option<Point3> {
+    let meet = |surface: &Surface, ray: &Vector3| -> Option<Point3> {
         if paper {
             plane.meet(ray)
         } else {
-            surface.meet(ray, how).ok()
+            surface.meet(ray, Interpolation::Cubic).ok()
         }
     };
     let rays: Vec<Vector3> = request
@@ -226,16 +236,14 @@ pub fn decide(
         .iter()
         .filter_map(|p| rig.camera.ray(p))
         .collect();
-    let vein: Vec<Point3> = rays
-        .iter()
-        .filter_map(|r| meet(r, Interpolation::Cubic))
-        .collect();
-    let line = axis::line(&vein).ok_or(NeedleError::NoVein {
-        met: vein.len(),
+    let on = |surface| -> Vec<Point3> { rays.iter().filter_map(|r| meet(surface, r)).collect() };
+    let (vein, course) = (on(&surface), on(&broad));
+    let line = axis::line(&course).ok_or(NeedleError::NoVein {
+        met: course.len(),
         given: request.vein.len(),
     })?;
     let direction = axis::into_plane(&line, &plane.normal).ok_or(NeedleError::NoVein {
-        met: vein.len(),
+        met: course.len(),
         given: request.vein.len(),
     })?;
     let entry = if paper {
@@ -246,14 +254,16 @@ pub fn decide(
 
     // The same once more with straight lines between the stripes: how much hangs on what was not
     // measured.
-    let coarse = coarse(&surface, &ray, &rays, request.radius_mm);
+    let coarse = coarse(&surface, &broad, &ray, &rays, request.radius_mm);
     let needle = NeedleAxis::new(&plane, &direction, &entry, settings);
     let uncertainty = uncertainty::propagate(&uncertainty::Inputs {
         surface: &surface,
         patch: &patch,
+        broad: &broad,
         fit: &area,
         entry: &met,
-        vein: &vein,
+        radius_mm: request.radius_mm,
+        vein: &course,
         line: &line,
         plane: &plane,
         angle: settings.angle,
@@ -288,6 +298,7 @@ pub fn decide(
 /// Normal, entry and vein line with straight interpolation.
 fn coarse(
     surface: &Surface,
+    broad: &Surface,
     ray: &Vector3,
     vein: &[Vector3],
     radius_mm: f64,
@@ -297,7 +308,7 @@ fn coarse(
     let fit = PlaneFit::new(&patch.cells)?;
     let points: Vec<Point3> = vein
         .iter()
-        .filter_map(|r| surface.meet(r, Interpolation::Linear).ok())
+        .filter_map(|r| broad.meet(r, Interpolation::Linear).ok())
         .collect();
     Some((fit.plane.normal, entry, axis::line(&points)?))
 }

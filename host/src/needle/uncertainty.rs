@@ -60,8 +60,11 @@ fn worst(covariance: &Matrix3) -> f64 {
 pub(super) struct Inputs<'a> {
     pub surface: &'a Surface,
     pub patch: &'a Patch,
+    /// The surface on which the vein's line was taken.
+    pub broad: &'a Surface,
     pub fit: &'a PlaneFit,
     pub entry: &'a Point3,
+    pub radius_mm: f64,
     pub vein: &'a [Point3],
     pub line: &'a Vector3,
     pub plane: &'a Plane,
@@ -135,6 +138,12 @@ impl LineTurn {
     }
 }
 
+/// What hangs on a surface besides the normal.
+enum Part<'a> {
+    Entry,
+    Line(&'a LineTurn),
+}
+
 fn stack(normal: &Vector3, entry: &Vector3, line: &Vector3) -> Nine {
     let mut v = Nine::zeros();
     v.fixed_rows_mut::<3>(0).copy_from(normal);
@@ -145,7 +154,18 @@ fn stack(normal: &Vector3, entry: &Vector3, line: &Vector3) -> Nine {
 
 pub(super) fn propagate(i: &Inputs<'_>) -> Uncertainty {
     let line = LineTurn::new(i.vein, i.line);
-    let parts = [calibration(i, &line), stripes(i, &line), sampling(i)];
+    // The entry's surface and the vein's have nodes of their own; the normal, a mean over the region, is the
+    // same function of either. Only normal and line meet again, in the axis.
+    let mut stripes = stripe_noise(i, i.surface, i.patch, Part::Entry);
+    let broad = i
+        .broad
+        .patch(i.entry, i.radius_mm, super::surface::Interpolation::Cubic);
+    let vein = stripe_noise(i, i.broad, &broad, Part::Line(&line));
+    for at in [(0, 6), (6, 0), (6, 6)] {
+        let block = vein.fixed_view::<3, 3>(at.0, at.1);
+        stripes.fixed_view_mut::<3, 3>(at.0, at.1).copy_from(&block);
+    }
+    let parts = [calibration(i, &line), stripes, sampling(i)];
     let total: Nine9 = parts.iter().sum();
     let n = i.plane.normal;
     let axis_by = axis_jacobian(&n, i.line, i.angle);
@@ -196,27 +216,34 @@ fn calibration(i: &Inputs<'_>, line: &LineTurn) -> Nine9 {
     by * i.rig.covariance * by.transpose()
 }
 
-fn stripes(i: &Inputs<'_>, line: &LineTurn) -> Nine9 {
-    let nodes = &i.surface.nodes;
+/// The stripes' noise in the normal and the entry, or in the normal and the vein's line, by way of one surface.
+fn stripe_noise(i: &Inputs<'_>, surface: &Surface, patch: &Patch, what: Part<'_>) -> Nine9 {
+    let nodes = &surface.nodes;
     let mut influence = vec![Nine::zeros(); nodes.len()];
     // By a pixel at each node.
-    for (cell, links) in i.patch.cells.iter().zip(&i.patch.links) {
+    for (cell, links) in patch.cells.iter().zip(&patch.links) {
         for (node, weight) in links {
             let turn = i.fit.turn(cell, &nodes[*node as usize].shift);
             let mut place = influence[*node as usize].fixed_rows_mut::<3>(0);
             place += turn * *weight;
         }
     }
-    for (node, weight) in i.surface.links(i.entry).into_iter().flatten() {
-        let step = i.surface.along_ray(i.entry, &nodes[node as usize].shift);
-        let mut place = influence[node as usize].fixed_rows_mut::<3>(3);
-        place += step * weight;
-    }
-    for (j, p) in i.vein.iter().enumerate() {
-        for (node, weight) in i.surface.links(p).into_iter().flatten() {
-            let step = i.surface.along_ray(p, &nodes[node as usize].shift);
-            let mut place = influence[node as usize].fixed_rows_mut::<3>(6);
-            place += line.turn(j, &step) * weight;
+    match what {
+        Part::Entry => {
+            for (node, weight) in surface.links(i.entry).into_iter().flatten() {
+                let step = surface.along_ray(i.entry, &nodes[node as usize].shift);
+                let mut place = influence[node as usize].fixed_rows_mut::<3>(3);
+                place += step * weight;
+            }
+        }
+        Part::Line(line) => {
+            for (j, p) in i.vein.iter().enumerate() {
+                for (node, weight) in surface.links(p).into_iter().flatten() {
+                    let step = surface.along_ray(p, &nodes[node as usize].shift);
+                    let mut place = influence[node as usize].fixed_rows_mut::<3>(6);
+                    place += line.turn(j, &step) * weight;
+                }
+            }
         }
     }
     // Stripe by stripe, in the order along it.
@@ -224,7 +251,7 @@ fn stripes(i: &Inputs<'_>, line: &LineTurn) -> Nine9 {
         .filter(|k| influence[*k] != Nine::zeros())
         .collect();
     order.sort_by_key(|k| (nodes[*k].frame, nodes[*k].column));
-    let step = i.surface.step;
+    let step = surface.step;
     let mut total = Nine9::zeros();
     for stripe in order.chunk_by(|a, b| nodes[*a].frame == nodes[*b].frame) {
         let mut shared = Nine::zeros();
