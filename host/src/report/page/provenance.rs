@@ -7,17 +7,20 @@ use maud::{Markup, html};
 
 /// Errors against the truth of a simulated rig.
 pub fn truth(rows: &[TruthRow]) -> Markup {
+    let limits = rows.iter().any(|r| r.limit.is_some());
     html! {
         @if !rows.is_empty() {
             h2 { "Against the truth" }
             p.soft { "The rig is simulated, so the truth is known." }
             div.scroll { table {
-                thead { tr { th { "" } th { "error" } th { "unit" } th { "asked" } } }
+                thead { tr { th { "" } th { "error" } th { "unit" } @if limits { th { "asked" } } } }
                 tbody { @for r in rows { tr {
                     td { (r.what) }
                     td.over[r.limit.is_some_and(|l| r.error > l)] { (number(r.error, 4)) }
                     td { (r.unit) }
-                    td { @if let Some(l) = r.limit { "≤ " (number(l, 3)) } @else { "–" } }
+                    @if limits {
+                        td { @if let Some(l) = r.limit { "≤ " (number(l, 3)) } @else { "–" } }
+                    }
                 } } }
             } }
         }
