@@ -1,7 +1,7 @@
 //! What a command says: results to standard output, everything else to standard error.
 
 use crate::progress::Progress;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -152,10 +152,16 @@ impl Progress for Output {
             Some(steps as u64),
             ProgressDrawTarget::stderr_with_hz(10),
         );
+        let rate = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = match state.per_sec() {
+                slow if slow < 10.0 => write!(out, "{slow:.1}"),
+                fast => write!(out, "{fast:.0}"),
+            };
+        };
         if let Ok(style) =
-            ProgressStyle::with_template("{msg:22} {bar:24} {pos}/{len}  {per_sec}  {eta} left")
+            ProgressStyle::with_template("{msg:22} {bar:24} {pos}/{len}  {rate}/s  {eta} left")
         {
-            bar.set_style(style);
+            bar.set_style(style.with_key("rate", rate));
         }
         bar.set_message(stage.to_owned());
         bar.enable_steady_tick(Duration::from_millis(200));
