@@ -14,6 +14,8 @@ use serde::Serialize;
 pub const CLINICAL_DEG: [f64; 2] = [15.0, 30.0];
 /// How far the paper goes on along the vein after the puncture, mm.
 pub const ADVANCE_MM: f64 = 5.0;
+/// Flag of an angle outside [`CLINICAL_DEG`].
+const OUTSIDE: &str = "outside the clinical 15–30°";
 /// The paper's angles, degrees.
 pub const PAPER_ANGLES_DEG: [f64; 3] = [30.0, 45.0, 60.0];
 
@@ -24,7 +26,8 @@ pub enum Criterion {
     /// Lowest peak force (paper, Section 3.4).
     #[default]
     Paper,
-    /// Lowest peak force, then work, among the angles at which the whole bevel fits into the lumen.
+    /// Lowest peak force, then work, among the angles at which the whole bevel fits into the lumen
+    /// and the straight way in it is as long as the paper's advance.
     Constrained,
 }
 
@@ -76,7 +79,7 @@ pub struct Row {
     pub lumen_length_mm: f64,
     /// Peak force when assumptions change.
     pub sensitivity: Sensitivity,
-    /// Whether the bevel fits.
+    /// Whether the bevel fits and the straight way is long enough.
     pub fits: bool,
     /// What speaks against it, in words.
     pub flags: Vec<String>,
@@ -146,7 +149,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
     let straight = setup.layers.lumen_mm / angle.sin();
     let mut flags = Vec::new();
     if !(CLINICAL_DEG[0]..=CLINICAL_DEG[1]).contains(&angle_deg) {
-        flags.push("outside the clinical 15–30°".to_owned());
+        flags.push(OUTSIDE.to_owned());
     }
     if clearance < 0.0 {
         flags.push(format!(
@@ -154,7 +157,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
             -clearance
         ));
     }
-    if straight < ADVANCE_MM {
+    if straight < ADVANCE_MM - 1e-9 {
         flags.push(format!(
             "only {straight:.1} mm straight on in the lumen: the needle must be lowered before it \
              advances {ADVANCE_MM} mm"
@@ -176,7 +179,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
             toughness_half: tough(0.5),
             toughness_double: tough(2.0),
         },
-        fits: clearance >= 0.0,
+        fits: clearance >= 0.0 && straight > ADVANCE_MM - 1e-9,
         flags,
     }
 }
@@ -313,11 +316,12 @@ fn sentence(
     if criterion == Criterion::Constrained {
         text += &match constrained {
             Some(r) => format!(
-                "; with room for the bevel in the vein it is {}°",
+                "; with room for the bevel and {ADVANCE_MM} mm of straight way in the vein it is {}°",
                 r.angle_deg
             ),
             None => format!(
-                "; at none of the angles does the bevel fit into the vein, {}° comes nearest",
+                "; at none of the angles is there room for the bevel and {ADVANCE_MM} mm of straight \
+                 way in the vein, {}° comes nearest",
                 chosen.angle_deg
             ),
         };
@@ -330,7 +334,16 @@ fn sentence(
         .map(String::as_str)
         .collect();
     if !against.is_empty() {
-        text += &format!(", but {}° is {}", chosen.angle_deg, against.join(", and "));
+        let is = if against[0] == OUTSIDE {
+            "is"
+        } else {
+            "has a fault:"
+        };
+        text += &format!(
+            ", but {}° {is} {}",
+            chosen.angle_deg,
+            against.join(", and ")
+        );
         if criterion == Criterion::Paper
             && let Some(r) = constrained
             && r.angle_deg != chosen.angle_deg
@@ -442,6 +455,29 @@ mod tests {
             "{}",
             steep.sentence
         );
+    }
+
+    #[test]
+    fn under_constraints_the_straight_way_must_be_as_long_as_the_advance() {
+        // A thin needle in a wide vein: 45° has room for its bevel, but 3.2/sin 45° = 4.5 mm.
+        let mut s = Setup::default();
+        s.needle.diameter_mm = 0.5;
+        s.layers.lumen_mm = 3.2;
+        let fast = Calibration::stored();
+        let d = decide(&s, fast, &[30.0, 45.0], &[], Criterion::Constrained).expect("two angles");
+        assert!(d.rows.iter().all(|r| r.clearance_mm > 0.0));
+        assert_eq!((d.paper_angle_deg, d.angle_deg), (45.0, 30.0));
+    }
+
+    #[test]
+    fn a_clinical_angle_without_room_is_told_in_a_whole_sentence() {
+        let mut s = Setup::default();
+        s.layers.lumen_mm = 2.0;
+        let fast = Calibration::stored();
+        let d = decide(&s, fast, &[30.0], &[], Criterion::Paper).expect("an angle");
+        let end = "but 30° has a fault: the tip is 0.3 mm through the far wall before the whole \
+                   bevel is in the vein.";
+        assert!(d.sentence.ends_with(end), "{}", d.sentence);
     }
 
     #[test]

@@ -513,7 +513,7 @@ pub fn puncture(
                 }
             }
             clearance = clearance.min(m.clearance(needle.at.tip));
-            progress(((moved + course.along) / (path + numerics.along_vein_mm)).min(1.0));
+            progress((moved / (path + numerics.along_vein_mm)).min(1.0));
             if clearance < 0.05 {
                 transfixed = true;
                 break;

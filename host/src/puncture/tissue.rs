@@ -58,14 +58,42 @@ pub struct Setup {
     /// Needle.
     pub needle: NeedleSpec,
     /// Skin.
+    #[serde(deserialize_with = "over_skin")]
     pub skin: Tissue,
     /// Subcutaneous fat.
+    #[serde(deserialize_with = "over_fat")]
     pub fat: Tissue,
     /// Wall of the vein.
+    #[serde(deserialize_with = "over_vein")]
     pub vein: Tissue,
     /// Muscle.
+    #[serde(deserialize_with = "over_muscle")]
     pub muscle: Tissue,
 }
+
+/// A tissue in a file: what is missing keeps its default.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TissuePart {
+    law: Option<Law>,
+    toughness_kj_m2: Option<f64>,
+    strength_mpa: Option<f64>,
+}
+
+/// Reads a tissue over its default.
+macro_rules! over {
+    ($($name:ident $field:ident),*) => {$(
+        fn $name<'de, D: serde::Deserializer<'de>>(d: D) -> Result<Tissue, D::Error> {
+            let (part, usual) = (TissuePart::deserialize(d)?, Setup::default().$field);
+            Ok(Tissue {
+                law: part.law.unwrap_or(usual.law),
+                toughness_kj_m2: part.toughness_kj_m2.unwrap_or(usual.toughness_kj_m2),
+                strength_mpa: part.strength_mpa.unwrap_or(usual.strength_mpa),
+            })
+        }
+    )*};
+}
+over!(over_skin skin, over_fat fat, over_vein vein, over_muscle muscle);
 
 /// Why a setup can't be used.
 #[derive(Debug, thiserror::Error)]
@@ -296,6 +324,10 @@ mod tests {
             strength_mpa: 9.0,
         };
         assert_eq!(got, Ok(expected));
+        // Part of a tissue only.
+        let mut expected = Setup::default();
+        expected.vein.toughness_kj_m2 = 0.6;
+        assert_eq!(read("[vein]\ntoughness_kj_m2 = 0.6\n"), Ok(expected));
     }
 
     #[test]
@@ -305,6 +337,7 @@ mod tests {
             ("frictoin = 0.3\n", "frictoin"),
             ("friction = \"much\"\n", "line 1"),
             ("[layers]\nskin_mm = nan\n", "layers.skin_mm"),
+            ("[fat]\nstrenght_mpa = 1\n", "strenght_mpa"),
         ] {
             let said = read(text).expect_err(text);
             assert!(said.contains("hand.toml") && said.contains(word), "{said}");
