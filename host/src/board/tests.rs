@@ -41,6 +41,8 @@ struct Look {
     black: f64,
     /// Light at the right edge against the left, as a factor.
     falloff: f64,
+    /// Samples a pixel in each direction.
+    fine: usize,
 }
 
 const CLEAN: Look = Look {
@@ -51,6 +53,7 @@ const CLEAN: Look = Look {
     white: 180.0,
     black: 25.0,
     falloff: 1.0,
+    fine: 4,
 };
 const NOMINAL: Look = Look {
     noise: 1.5,
@@ -108,20 +111,20 @@ fn truth(map: &Homography, board: &BoardGeometry) -> Vec<Vector2> {
         .collect()
 }
 
-/// Grey values by supersampling: 4 × 4 samples a pixel, each the mean over its own area (to first
+/// Grey values by supersampling: several samples a pixel, each the mean over its own area (to first
 /// order in the distance to the squares' borders), then the point spread on that fine grid.
 fn shine(look: &Look, map: &Homography, board: &BoardGeometry) -> Vec<f64> {
-    const FINE: usize = 4;
-    let (w, h) = (look.width * FINE, look.height * FINE);
+    let per = look.fine;
+    let (w, h) = (look.width * per, look.height * per);
     let back = map.inverse().unwrap();
     let (c, r) = (board.columns as f64, board.rows as f64);
     let fine: Vec<f32> = (0..w * h)
         .map(|i| {
-            let u = ((i % w) as f64 + 0.5) / FINE as f64 - 0.5;
-            let v = ((i / w) as f64 + 0.5) / FINE as f64 - 0.5;
+            let u = ((i % w) as f64 + 0.5) / per as f64 - 0.5;
+            let v = ((i / w) as f64 + 0.5) / per as f64 - 0.5;
             let at = |du: f64, dv: f64| back.apply(&Vector2::new(u + du, v + dv)) / board.square_mm;
             let p = at(0.0, 0.0);
-            let step = 1.0 / FINE as f64;
+            let step = 1.0 / per as f64;
             let (pu, pv) = (at(step, 0.0) - p, at(0.0, step) - p);
             // Part of the sample on the positive side of a line at `x` board squares.
             let side = |d: f64, gu: f64, gv: f64| (d / gu.hypot(gv) + 0.5).clamp(0.0, 1.0);
@@ -151,7 +154,7 @@ fn shine(look: &Look, map: &Homography, board: &BoardGeometry) -> Vec<f64> {
             (grey * (1.0 + (look.falloff - 1.0) * u / look.width as f64)) as f32
         })
         .collect();
-    let sigma = look.blur * FINE as f64;
+    let sigma = look.blur * per as f64;
     let reach = (4.0 * sigma).ceil() as isize;
     let kernel: Vec<f32> = (-reach..=reach)
         .map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp() as f32)
@@ -179,11 +182,11 @@ fn shine(look: &Look, map: &Homography, board: &BoardGeometry) -> Vec<f64> {
     let fine = blurred(&fine, h, w, w, 1);
     (0..look.width * look.height)
         .map(|i| {
-            let (u, v) = (i % look.width * FINE, i / look.width * FINE);
-            let sum: f32 = (0..FINE * FINE)
-                .map(|k| fine[(v + k / FINE) * w + u + k % FINE])
+            let (u, v) = (i % look.width * per, i / look.width * per);
+            let sum: f32 = (0..per * per)
+                .map(|k| fine[(v + k / per) * w + u + k % per])
                 .sum();
-            f64::from(sum) / (FINE * FINE) as f64
+            f64::from(sum) / (per * per) as f64
         })
         .collect()
 }
@@ -307,6 +310,101 @@ fn align_undoes_a_half_turn() {
     turned.quality.masked.reverse();
     align(&mut turned, &reference);
     assert_eq!(turned, reference);
+}
+
+/// Turned about its middle by an angle under which its squares look the same, a board gives the
+/// same image with another numbering: whichever the reference has, `align` finds it.
+#[test]
+fn align_knows_the_symmetries_of_the_squares() {
+    use std::f64::consts::{FRAC_PI_2, PI};
+    let look = Look { fine: 2, ..NOMINAL };
+    let half: &[f64] = &[0.0, PI];
+    let quarter: &[f64] = &[0.0, FRAC_PI_2, PI, -FRAC_PI_2];
+    // 5 × 5 has a quarter turn of its corners, but it swaps black and white.
+    for (columns, rows, turns) in [(8, 6, half), (7, 5, half), (6, 6, quarter), (5, 5, half)] {
+        let board = BoardGeometry {
+            columns,
+            rows,
+            ..BOARD
+        };
+        let at = |roll: f64| pose(&look, &board, 260.0, 0.4, 1.0, roll);
+        let image = expose(&look, &shine(&look, &at(0.7), &board), &mut Random(2));
+        let found = detect(&image, &board).unwrap();
+        // Largest distance from the truth of a board held with that turn.
+        let distance = |turn: f64| {
+            let corner = |pixel| Corner {
+                pixel,
+                ..found.corners[0]
+            };
+            let held = truth(&at(0.7 + turn), &board).into_iter().map(corner);
+            let reference = Detection {
+                corners: held.collect(),
+                ..found.clone()
+            };
+            let mut aligned = found.clone();
+            align(&mut aligned, &reference);
+            let pairs = aligned.corners.iter().zip(&reference.corners);
+            pairs
+                .map(|(a, b)| (a.pixel - b.pixel).norm())
+                .fold(0.0, f64::max)
+        };
+        for &turn in turns {
+            let d = distance(turn);
+            assert!(d < 0.1, "{columns} × {rows} turned by {turn:.2}: {d} px");
+        }
+        if turns.len() == 2 && columns == rows {
+            assert!(distance(FRAC_PI_2) > 20.0, "{columns} × {rows}");
+        }
+    }
+}
+
+/// x points neither right nor left: noise alone decides the numbering of each image, and `align`
+/// makes the images of the pose agree.
+#[test]
+fn images_of_one_pose_are_numbered_alike() {
+    let look = Look { fine: 2, ..HARD };
+    let map = pose(&look, &BOARD, 260.0, 0.0, 0.0, std::f64::consts::FRAC_PI_2);
+    let grey = shine(&look, &map, &BOARD);
+    let mut random = Random(8);
+    let mut images: Vec<Detection> = (0..12)
+        .map(|_| detect(&expose(&look, &grey, &mut random), &BOARD).unwrap())
+        .collect();
+    let apart = |images: &[Detection]| -> usize {
+        let other =
+            |d: &&Detection| (d.corners[0].pixel - images[0].corners[0].pixel).norm() > 100.0;
+        images.iter().filter(other).count()
+    };
+    let before = apart(&images);
+    assert!(before > 0, "no image to settle");
+    let reference = images[0].clone();
+    images.iter_mut().for_each(|d| align(d, &reference));
+    for image in &images {
+        for (a, b) in image.corners.iter().zip(&reference.corners) {
+            assert!((a.pixel - b.pixel).norm() < 0.3);
+        }
+    }
+}
+
+/// 3840 × 2160: squares of 190 px and of 40 px.
+#[test]
+fn boards_in_a_large_image() {
+    let look = Look {
+        width: 3840,
+        height: 2160,
+        blur: 1.0,
+        fine: 1, // a point spread of a pixel leaves nothing for finer samples
+        ..NOMINAL
+    };
+    for size in [0.4, 0.085] {
+        let map = pose(&look, &BOARD, size * 3840.0, 0.5, 1.0, 0.3);
+        let image = expose(&look, &shine(&look, &map, &BOARD), &mut Random(4));
+        let found = detect(&image, &BOARD).unwrap();
+        let (squares, _) = errors(&found, &truth(&map, &BOARD));
+        let rms = (squares.iter().sum::<f64>() / 48.0).sqrt();
+        println!("{size}: {rms:.4} px, blur {:.3} px", found.blur_px);
+        assert!(rms < 0.012, "{size}: {rms:.4} px");
+        assert!((found.blur_px - 1.0).abs() < 0.03, "{}", found.blur_px);
+    }
 }
 
 fn board_image(look: &Look, map: &Homography, board: &BoardGeometry) -> Image<u8> {
