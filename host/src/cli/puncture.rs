@@ -47,7 +47,7 @@ pub struct Args {
     #[arg(long, value_name = "MM", default_value_t = 0.0)]
     along: f64,
     /// Also run each angle with half the steps' size and with half the bricks' size, and print how
-    /// far the peak moves. The second takes about 16 times as long as the run itself.
+    /// far the peak moves. The second takes about 10 times as long as the run itself.
     #[arg(long)]
     convergence: bool,
     /// Instead of comparing angles: run the reference at all angles, frictions and toughnesses that
@@ -135,6 +135,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let reference: Vec<Reference> = runs
         .iter()
         .map(|r| Reference {
+            mesh_mm: numerics.h_mm,
             angle_deg: r.angle_deg,
             peak_force_n: r.peak_force_n,
             work_n_mm: r.work_n_mm,

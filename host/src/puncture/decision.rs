@@ -40,6 +40,8 @@ pub struct Reference {
     pub peak_force_n: f64,
     /// Work, N·mm.
     pub work_n_mm: f64,
+    /// Side of a brick, mm.
+    pub mesh_mm: f64,
 }
 
 /// Peak force by the fast model when an assumption changes, N.
@@ -137,7 +139,10 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
     };
     let tough = |k: f64| fast.angle(&setup.with_toughness(k), angle_deg).peak_force_n;
     let (peak, work, source, error) = match reference {
-        Some(r) => (r.peak_force_n, r.work_n_mm, "reference", fast.mesh_error),
+        Some(r) => {
+            let error = fast.mesh_error_at(r.mesh_mm);
+            (r.peak_force_n, r.work_n_mm, "reference", error)
+        }
         None => (
             here.peak_force_n,
             here.work_n_mm,
@@ -396,6 +401,7 @@ mod tests {
             .iter()
             .zip(forces)
             .map(|(&angle_deg, peak_force_n)| Reference {
+                mesh_mm: 0.15,
                 angle_deg,
                 peak_force_n,
                 work_n_mm: 1.0,
@@ -488,6 +494,19 @@ mod tests {
             "{}",
             d.sentence
         );
+    }
+
+    #[test]
+    fn coarse_bricks_leave_no_preference() {
+        let setup = Setup::default();
+        let mut known = reference([2.8, 2.3, 1.9]);
+        let decide = |known: &[Reference]| {
+            let fast = Calibration::stored();
+            super::decide(&setup, fast, &PAPER_ANGLES_DEG, known, Criterion::Paper).unwrap()
+        };
+        assert!(decide(&known).preference);
+        known.iter_mut().for_each(|r| r.mesh_mm = 0.4);
+        assert!(!decide(&known).preference);
     }
 
     #[test]

@@ -206,6 +206,12 @@ impl LayerFit {
 }
 
 impl Calibration {
+    /// [`Self::mesh_error`] with bricks of another size. Finer ones count as no better; coarser ones are
+    /// worse with the third power: at 0.4 mm a peak at 75° came out at twice its value.
+    pub fn mesh_error_at(&self, mesh_mm: f64) -> f64 {
+        self.mesh_error * (mesh_mm / self.mesh_mm).max(1.0).powi(3)
+    }
+
     /// The stored calibration.
     pub fn stored() -> &'static Self {
         static STORED: OnceLock<Calibration> = OnceLock::new();
