@@ -75,7 +75,7 @@ pub enum StripeError {
     },
     /// Small squares look like a stripe themselves where nothing can be subtracted.
     #[error(
-        "squares of {square_px:.0} pixels are too small to tell the stripe from them without an image with the laser off (at least {least_px:.0})"
+        "squares of {square_px:.0} pixels are too small to tell the stripe from them without an image with the laser off (at least {least_px:.0}): record one for each board pose and name it as \"off\", or bring the board nearer"
     )]
     NeedsOff {
         /// Shortest side of a square, px.
