@@ -88,31 +88,38 @@ impl Truth {
     /// Mean distance, over the measuring volume (z 400–460 mm), between true light planes and those
     /// of a calibration (its JSON), mm.
     pub fn light_plane_error(&self, light: &Value) -> f64 {
-        let (n, truth) = (
-            three(&light["normal"]),
-            three(&self.value["light"]["normal"]),
-        );
+        let n = three(&light["normal"]);
         let (a, b) = (
             light["a"].as_f64().expect("a"),
             light["b"].as_f64().expect("b"),
         );
+        self.planes_error(|x| Some((n, a * x + b)))
+    }
+
+    /// The same for the planes (normal and D) of those positions that have one.
+    pub fn planes_error(&self, plane: impl Fn(f64) -> Option<(Vector3<f64>, f64)>) -> f64 {
+        let truth = three(&self.value["light"]["normal"]);
         let (mut sum, mut count) = (0.0, 0.0);
         for position in self.value["light"]["positions"]
             .as_array()
             .expect("positions")
         {
             let x = position["slide_mm"].as_f64().expect("slide");
+            let Some((n, offset)) = plane(x) else {
+                continue;
+            };
             let d = position["D"].as_f64().expect("D");
             for z in [400.0, 415.0, 430.0, 445.0, 460.0] {
                 for u in [-40.0, -20.0, 0.0, 20.0, 40.0] {
                     let v = -(truth.x * u + truth.z * z + d) / truth.y;
                     if v.abs() < 45.0 {
-                        sum += (n.dot(&Vector3::new(u, v, z)) + a * x + b).abs();
+                        sum += (n.dot(&Vector3::new(u, v, z)) + offset).abs();
                         count += 1.0;
                     }
                 }
             }
         }
+        assert!(count > 0.0, "a plane to compare");
         sum / count
     }
 

@@ -218,6 +218,52 @@ fn files_are_as_the_contract_says() {
     }
 }
 
+/// `camera` alone gives a camera, and no word of light planes.
+#[test]
+fn boards_alone_give_a_camera_alone() {
+    let folder = committed("tiny-1001");
+    let mut session = Session::open(&folder).unwrap();
+    session.manifest.light.clear();
+    for method in [Method::Ml, Method::Paper] {
+        let calibrated = calibrate(&session, method, &Times::default(), &Silent).unwrap();
+        assert!(calibrated.rig().is_none());
+        let file = serde_json::to_value(CalibrationFile::new(&calibrated, &folder)).unwrap();
+        assert!(file.get("light").is_none(), "{}", file["light"]);
+        let fx = file["camera"]["fx"].as_f64().unwrap();
+        let sigmas = (fx - Truth::read(&folder).fx()) / calibrated.covariance[(0, 0)].sqrt();
+        println!("{method:?}: fx {fx:.3}, {sigmas:.2} of its own sigmas off");
+        assert!(sigmas.abs() < 4.0, "{method:?}: {fx}, {sigmas} sigmas");
+    }
+}
+
+/// One slide position is one plane: D against travel can't be told.
+#[test]
+fn one_slide_position_gives_one_plane() {
+    let folder = committed("tiny-1001");
+    let mut session = Session::open(&folder).unwrap();
+    let slide = session.manifest.light[0].on[3].slide_mm;
+    for pose in &mut session.manifest.light {
+        pose.on.retain(|frame| frame.slide_mm == slide);
+    }
+    // The paper's way finds no stripe on squares of 13 pixels.
+    let calibrated = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
+    let file = serde_json::to_value(CalibrationFile::new(&calibrated, &folder)).unwrap();
+    let light = &file["light"];
+    for key in ["a", "b"] {
+        assert_eq!(light.get(key), Some(&Value::Null), "{key}");
+    }
+    let planes = light["planes"].as_array().unwrap();
+    assert_eq!(planes.len(), 1);
+    assert_eq!(planes[0]["slide_mm"].as_f64(), Some(slide));
+    let plane = (
+        three(&planes[0]["normal"]),
+        planes[0]["d"].as_f64().unwrap(),
+    );
+    let error = Truth::read(&folder).planes_error(|x| (x == slide).then_some(plane));
+    println!("{error:.3} mm");
+    assert!(error < 0.3, "{error} mm");
+}
+
 /// `robot_from_camera` turns and shifts what the camera sees.
 #[test]
 fn the_robot_sees_the_same_in_its_own_frame() {
