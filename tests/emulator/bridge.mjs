@@ -1,8 +1,8 @@
 // node bridge.mjs ELF LINK: the emulated board's USB as a serial port at LINK, at most in real time,
 // so that programs that open serial ports can be tried without a board. Needs socat, which owns the
-// pseudo-terminal; started anew for each client.
+// pseudo-terminal; started anew for each client. Says `ready LINK` each time that LINK can be opened.
 import { spawn } from 'node:child_process';
-import { rmSync } from 'node:fs';
+import { existsSync, rmSync } from 'node:fs';
 import net from 'node:net';
 import { HZ } from './pico.mjs';
 import { Session } from './serve.mjs';
@@ -29,7 +29,16 @@ const terminal = () => {
     console.error(`socat: ${error.message}`);
     process.exit(1);
   });
-  child.on('exit', () => setTimeout(terminal, 10));
+  const seen = setInterval(() => {
+    if (!existsSync(link)) return;
+    clearInterval(seen);
+    console.log(`ready ${link}`);
+  }, 5);
+  child.on('exit', () => {
+    clearInterval(seen);
+    rmSync(link, { force: true });
+    setTimeout(terminal, 10);
+  });
 };
 net
   .createServer((connection) => {
@@ -40,10 +49,7 @@ net
       if (client === connection) client = undefined;
     });
   })
-  .listen(socket, () => {
-    terminal();
-    console.log(`ready ${link}`);
-  });
+  .listen(socket, terminal);
 const end = () => {
   child?.removeAllListeners('exit');
   child?.kill();

@@ -45,15 +45,13 @@ fn the_serial_port_of_the_real_binary() -> Outcome {
             .stdout(Stdio::piped())
             .spawn()?,
     );
-    let mut ready = String::new();
-    BufReader::new(bridge.0.stdout.take().expect("piped")).read_line(&mut ready)?;
-    assert!(ready.starts_with("ready"), "{ready}");
-    for _ in 0..100 {
-        if link.exists() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(20));
-    }
+    let mut lines = BufReader::new(bridge.0.stdout.take().expect("piped")).lines();
+    let mut ready = || -> Outcome {
+        let line = lines.next().expect("the bridge goes on")?;
+        assert!(line.starts_with("ready"), "{line}");
+        Ok(())
+    };
+    ready()?;
     let port = link.to_str().expect("plain");
 
     let ratio = StepsPerMm::whole(800);
@@ -74,7 +72,8 @@ fn the_serial_port_of_the_real_binary() -> Outcome {
     assert_eq!(positions, planned);
     drop(board);
 
-    // A second client, as the command: it finds the board as it was left.
+    // A second client, on a terminal of its own, as the command: it finds the board as it was left.
+    ready()?;
     let words = ["cannula", "--quiet", "motion", "--port", port, "status"];
     let status = cannula::cli::main(words.map(std::ffi::OsString::from));
     assert_eq!(status, 0, "cannula motion status");
