@@ -2,6 +2,15 @@
 
 use std::ffi::OsString;
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// One at a time: the board over a pseudo-terminal is in real time, and its heartbeat of 200 ms does not outlast a
+/// recording that is rendered on all cores beside it.
+static ONE: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 fn cannula(args: &[&str]) -> u8 {
     let words = ["cannula", "--quiet"]
@@ -19,6 +28,7 @@ fn json(path: &Path) -> serde_json::Value {
 /// From homing to the needle, and every error within what a picture of a quarter the size allows.
 #[test]
 fn the_demo_finds_the_needle() {
+    let _one = alone();
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("demo");
     let to = out.to_str().unwrap();
@@ -80,6 +90,7 @@ fn the_demo_finds_the_needle() {
 /// Recorded in parts, broken off and gone on with, calibrated, scanned live.
 #[test]
 fn a_recording_in_parts_leads_to_the_needle() {
+    let _one = alone();
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let config = path("rig.toml");
@@ -154,6 +165,7 @@ fn a_recording_in_parts_leads_to_the_needle() {
 
 #[test]
 fn hands_on_commands_and_their_exit_statuses() {
+    let _one = alone();
     assert_eq!(cannula(&["motion", "--port", "simulated", "status"]), 0);
     assert_eq!(cannula(&["motion", "--port", "simulated", "home"]), 0);
     // Not homed: refused by the board.
@@ -173,6 +185,7 @@ fn hands_on_commands_and_their_exit_statuses() {
 #[cfg(unix)]
 #[test]
 fn commands_over_a_pseudo_terminal() {
+    let _one = alone();
     use cannula::rig::{config::Rig, open};
     use cannula::simulation::mcu::{Pin, RealTime};
     let rig = Rig::default();
