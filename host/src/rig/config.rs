@@ -464,6 +464,23 @@ impl Rig {
                 "the device or folder to take images from",
             );
         }
+        // A folder gives its frames in order whatever is asked: without the board's ledger nothing would tell a
+        // frame's position.
+        let by_board = self.camera.trigger == TriggerSource::Board;
+        if self.camera.kind == CameraKind::Folder && !by_board {
+            return fail(
+                "camera.trigger",
+                format!("{:?}", self.camera.trigger).to_lowercase(),
+                "\"board\": the frames of a folder follow the board's triggers",
+            );
+        }
+        if self.camera.kind == CameraKind::V4l && by_board {
+            return fail(
+                "camera.trigger",
+                "board".into(),
+                "\"free\": a UVC camera has no trigger input",
+            );
+        }
         if let Err(e) = self.board_config(self.camera.exposure_laser_ms).validate() {
             return fail(
                 key_of(e.field),
@@ -630,6 +647,14 @@ mod tests {
                 "simulation.profile is \"easy\"",
             ),
             ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
+            (
+                "[camera]\nkind = \"folder\"\ndevice = \"x\"\ntrigger = \"free\"",
+                "camera.trigger is free: give \"board\"",
+            ),
+            (
+                "[camera]\nkind = \"v4l\"\ndevice = \"/dev/video0\"",
+                "camera.trigger is board: give \"free\"",
+            ),
             ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
             ("[board\n", "line 1"),
         ] {
