@@ -333,3 +333,29 @@ fn poses_without_a_dark_image_are_refused_where_squares_are_small() {
         }
     }
 }
+
+/// The paper's way can't work on squares of 13 pixels: its stripe is too thick for them. It says so,
+/// with what to do: another thing with a dark image than without.
+#[test]
+fn the_papers_way_names_its_remedy() {
+    let mut m = recording();
+    for (off, remedy) in [
+        (true, "bring the board nearer"),
+        (false, "name it as \"off\""),
+    ] {
+        if !off {
+            m.light.iter_mut().for_each(|l| l.off = None);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let text = serde_json::to_vec(&m).unwrap();
+        std::fs::write(folder.path().join("session.json"), text).unwrap();
+        let session = Session::open(folder.path()).unwrap();
+        let said = calibrate(&session, Method::Paper, &Times::default(), &Silent)
+            .expect_err("squares of 13 pixels")
+            .to_string();
+        println!("{said}");
+        for part in ["on_00.png", "13 pixels", remedy] {
+            assert!(said.contains(part), "{part:?} not in: {said}");
+        }
+    }
+}

@@ -15,11 +15,11 @@ fn command() -> Option<PathBuf> {
     found.exists().then_some(found)
 }
 
-#[test]
-fn no_peer_is_more_exact() {
+/// The report of `compare.py` on nominal-1001; `None` where something is missing.
+fn report() -> Option<Value> {
     let (Some(cannula), Some(session)) = (command(), beside("nominal-1001")) else {
         println!("skipped");
-        return;
+        return None;
     };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/compare.py");
     let run = Command::new("python3")
@@ -27,16 +27,16 @@ fn no_peer_is_more_exact() {
         .arg(session)
         .arg("--cannula")
         .arg(cannula)
-        .args(["--repeat", "1"])
+        .args(["--repeat", "0", "--json"])
         .output();
     let Ok(run) = run else {
         println!("skipped");
-        return;
+        return None;
     };
     let said = String::from_utf8_lossy(&run.stdout);
     if said.trim() == "skipped" {
         println!("skipped");
-        return;
+        return None;
     }
     assert!(
         run.status.success(),
@@ -44,10 +44,21 @@ fn no_peer_is_more_exact() {
         String::from_utf8_lossy(&run.stderr)
     );
     println!("{said}");
-    let report: Value = serde_json::from_str(&said).unwrap();
+    Some(serde_json::from_str(&said).unwrap())
+}
+
+#[test]
+fn no_peer_is_more_exact_and_the_papers_way_is_the_papers() {
+    let Some(report) = report() else {
+        return;
+    };
+    assert_eq!(report["recordings"], 1, "no way refuses this recording");
     let error = |who: &str, what: &str| report["errors"][who][what].as_f64().unwrap();
     // The floor of one recording's noise beside its peers': a draw of each may fall either way.
     for (what, floor) in [
+        ("stripe_px", 0.0),
+        ("light_mm", 0.02),
+        ("light_turned_mm", 0.0),
         ("normal_deg", 0.03),
         ("entry_mm", 0.05),
         ("axis_deg", 0.03),
@@ -60,5 +71,19 @@ fn no_peer_is_more_exact() {
                 "{what}: {ours} against {peer}'s {theirs}"
             );
         }
+        // The same steps on the same images.
+        let (ours, theirs) = (error("cannula_paper", what), error("paper_opencv", what));
+        assert!(
+            ours <= 1.5 * theirs && theirs <= 1.5 * ours.max(floor),
+            "{what}: {ours} in the paper's way, {theirs} by OpenCV"
+        );
+    }
+    let corners = |who: &str| report["corners"]["rms_px"][who].as_f64();
+    let of_opencv = corners("cornerSubPix").unwrap();
+    // The example is built by `cargo test` of the whole workspace, not of this package alone.
+    if let (Some(model), Some(gradient)) = (corners("ours"), corners("ours, gradient")) {
+        assert!(model <= corners("fitted").unwrap() && model <= 0.01);
+        assert!((gradient / of_opencv - 1.0).abs() < 0.1, "{gradient}");
+        assert!(report["corners"]["no_board_reason"].is_string());
     }
 }

@@ -65,6 +65,17 @@ fn a_hole_at_the_entry_is_refused() {
     }
 }
 
+/// Stripes that all end at the entry: there is surface on one side of it, and nothing to follow to
+/// the other.
+#[test]
+fn an_entry_where_the_stripes_break_off_is_refused() {
+    let (hand, rig, request) = scene(3);
+    let mut points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    points.retain(|p| p.pixel.x < request.pixel.x + 1.0);
+    let said = decide(&points, &rig, &request, &Settings::default());
+    assert_eq!(said, Err(NeedleError::Broken));
+}
+
 #[test]
 fn an_entry_beside_the_hand_is_refused() {
     let (hand, rig, mut request) = scene(4);

@@ -336,6 +336,9 @@ fn light_planes(
                 &settings.loss,
             )
             .map_err(|e| fail(e.to_string()))?;
+            calibrated.warnings.extend(found.left_out.iter().map(|x| {
+                format!("the light plane at {x} mm is left out: one board alone shows it")
+            }));
             let positions: Vec<f64> = found.planes.iter().map(|p| p.slide_mm).collect();
             Light {
                 model: found.model,

@@ -16,6 +16,8 @@ pub struct PaperLight {
     pub model: LightModel,
     /// Each position's plane on its own.
     pub planes: Vec<SinglePlane>,
+    /// Positions without a plane of their own, mm: seen on one board alone.
+    pub left_out: Vec<f64>,
     /// Table 1 for this rig: for each board pose, before and after Eq. 7 (all positions).
     pub views: Vec<(Measures, Measures)>,
     /// Figure 14 for this rig: for each position, before and after Eq. 7.
@@ -31,12 +33,9 @@ pub struct PaperLight {
 pub enum Error {
     /// No position has points on two boards that differ.
     #[error(
-        "the stripe points at slide position {slide_mm} mm lie on one line: record the board in two or more poses"
+        "at each slide position the stripe points lie on one line: record the board in two or more poses"
     )]
-    OneLine {
-        /// The position, mm.
-        slide_mm: f64,
-    },
+    OneLine,
     /// No stripe at all.
     #[error("no stripe was found on any board")]
     NoStripe,
@@ -74,6 +73,10 @@ pub fn calibrate(
         return Err(Error::NoStripe);
     }
     let mut strands = to_camera(board, views, poses, &positions);
+    let left_out = drop_lines(&mut strands, &mut positions);
+    if positions.is_empty() {
+        return Err(Error::OneLine);
+    }
 
     // Planes and points in turn: the plane of Eq. 7's third term is the one that the points define.
     let start = fit_positions(&strands, &positions)?;
@@ -122,6 +125,7 @@ pub fn calibrate(
         spacings: tables::spacings(&normal, &offsets),
         offsets: tables::offsets(a, b, &offsets),
         planes,
+        left_out,
     })
 }
 
@@ -165,6 +169,33 @@ fn to_camera(
     strands
 }
 
+/// Takes out the positions whose points lie on one line; gives their slide positions, mm.
+fn drop_lines(strands: &mut Vec<Strand>, positions: &mut Vec<f64>) -> Vec<f64> {
+    let planar: Vec<bool> = (0..positions.len())
+        .map(|i| {
+            let of = || strands.iter().filter(move |s| s.position == i);
+            let scatter = scatter(of(), &centroid(of()).0);
+            // Two directions of spread make a plane; one makes a line.
+            Plane::from_scatter(&Point3::origin(), &scatter)
+                .is_some_and(|(_, values)| values[1] > 1e-6 * values[2])
+        })
+        .collect();
+    let place = |i: usize| planar[..i].iter().filter(|&&p| p).count();
+    strands.retain(|s| planar[s.position]);
+    for s in strands.iter_mut() {
+        s.position = place(s.position);
+    }
+    let mut kept = planar.iter();
+    let left_out = positions
+        .iter()
+        .zip(&planar)
+        .filter(|(_, planar)| !**planar)
+        .map(|(&x, _)| x)
+        .collect();
+    positions.retain(|_| *kept.next().unwrap_or(&false));
+    left_out
+}
+
 /// Line 21: a plane for each position.
 fn fit_positions(strands: &[Strand], positions: &[f64]) -> Result<Vec<SinglePlane>, Error> {
     positions
@@ -174,12 +205,8 @@ fn fit_positions(strands: &[Strand], positions: &[f64]) -> Result<Vec<SinglePlan
             let of = || strands.iter().filter(move |s| s.position == i);
             let (centre, points) = centroid(of());
             let scatter = scatter(of(), &centre);
-            let (plane, values) = Plane::from_scatter(&Point3::from(centre), &scatter)
-                .ok_or(Error::OneLine { slide_mm })?;
-            // Two directions of spread make a plane; one makes a line.
-            if values[1] <= 1e-6 * values[2] {
-                return Err(Error::OneLine { slide_mm });
-            }
+            let (plane, values) =
+                Plane::from_scatter(&Point3::from(centre), &scatter).ok_or(Error::OneLine)?;
             Ok(SinglePlane {
                 slide_mm,
                 plane,
@@ -341,12 +368,28 @@ mod tests {
         assert!((found.model.normal - light.normal).norm() < 5e-3);
     }
 
+    /// A position that one board alone shows has no plane of its own; the others stand.
+    #[test]
+    fn a_position_on_one_board_alone_is_left_out() {
+        let (camera, light, board, poses) = rig(Distortion::default());
+        let mut seen = views(&camera, &light, &board, &poses);
+        for view in &mut seen[1..] {
+            view.stripes.retain(|s| s.slide_mm != 5.0);
+        }
+        let found = calibrate(&camera, &board, &seen, &poses, &Settings::default()).unwrap();
+        assert_eq!(found.left_out, [5.0]);
+        let positions: Vec<f64> = found.planes.iter().map(|p| p.slide_mm).collect();
+        assert_eq!(positions, [0.0, 10.0]);
+        assert!((found.model.normal - light.normal).norm() < 1e-6);
+        assert!((found.model.a - light.a).abs() < 1e-6);
+    }
+
     #[test]
     fn one_board_pose_makes_no_plane() {
         let (camera, light, board, poses) = rig(Distortion::default());
         let seen = views(&camera, &light, &board, &poses[..1]);
         let error = calibrate(&camera, &board, &seen, &poses[..1], &Settings::default());
-        assert_eq!(error, Err(Error::OneLine { slide_mm: 0.0 }));
+        assert_eq!(error, Err(Error::OneLine));
         let none = calibrate(&camera, &board, &[], &[], &Settings::default());
         assert_eq!(none, Err(Error::NoStripe));
     }

@@ -47,11 +47,26 @@ pub enum Error {
     #[error("the board's corners determine no homography")]
     NoHomography,
     /// Too few squares passed the screenings.
-    #[error("the stripe was found in {squares} squares of the board; 2 or more are needed")]
+    #[error(
+        "the paper's way found the stripe in {squares} of the board's squares (of {side_px:.0} pixels) where 2 or more are needed: {}",
+        remedy(*subtracted)
+    )]
     TooFewSquares {
         /// Squares left.
         squares: usize,
+        /// Mean side of a square, px.
+        side_px: f64,
+        /// Whether there was an image without the laser to subtract.
+        subtracted: bool,
     },
+}
+
+fn remedy(subtracted: bool) -> &'static str {
+    if subtracted {
+        "bring the board nearer or lengthen the exposure, or leave out --method paper"
+    } else {
+        "record an image with the laser off for each board pose and name it as \"off\", or bring the board nearer"
+    }
 }
 
 /// What one square of the board contributes, in rectified pixels.
@@ -113,6 +128,8 @@ pub fn extract<P: Pixel>(
     if squares.len() < 2 {
         return Err(Error::TooFewSquares {
             squares: squares.len(),
+            side_px: side,
+            subtracted: off.is_some(),
         });
     }
 
