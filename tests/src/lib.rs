@@ -2,4 +2,5 @@
 
 pub mod bench;
 pub mod program;
+pub mod sweeps;
 pub mod truth;

@@ -5,14 +5,16 @@
 //! During the sweep the ledger and the frames run into the [`Matcher`]; what does not belong is
 //! named and left out, and in stop-and-shoot the position is visited again.
 
+mod by_camera;
+
 use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
 use super::config::{Rig, TriggerSource};
 use super::link::{self, LinkError, ScanEvent};
 use super::matching::{Anchor, Decision, Fault, FrameStamp, Matcher, TriggerStamp};
+use super::request::Requests;
 use super::writer::WriteError;
 use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest, Trigger};
-use cannula_shared::plan::TriggerPlan;
-use cannula_shared::units::{Micros, Steps};
+use cannula_shared::units::Micros;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -59,6 +61,11 @@ pub enum AcquireError {
         "the camera's frames do not follow the triggers (its clock and the board's disagree by {0:.1} ms from one trigger to the next): is camera.trigger what the camera is set to?"
     )]
     Unsteady(f64),
+    /// Frames come, but none that must have been exposed after it was asked for.
+    #[error(
+        "no frame of the camera ({0}) can be shown to have been exposed after it was asked for: is camera.trigger what the camera is set to, and do its time stamps advance?"
+    )]
+    Untold(String),
     /// The laser was off when it should have been on.
     #[error("the laser was off at trigger {0}: check interlock and laser supply")]
     Dark(u32),
@@ -173,6 +180,8 @@ pub struct Acquisition<'a> {
     cancel: &'a AtomicBool,
     anchor: Option<Anchor>,
     armed: Option<Exposure>,
+    /// Of a camera that the board does not trigger.
+    requests: Option<Requests>,
 }
 
 impl<'a> Acquisition<'a> {
@@ -190,6 +199,7 @@ impl<'a> Acquisition<'a> {
             cancel,
             anchor: None,
             armed: None,
+            requests: None,
         }
     }
 
@@ -206,9 +216,12 @@ impl<'a> Acquisition<'a> {
         };
         if self.armed != Some(exposure) {
             self.board.configure(&self.rig.board_config(ms))?;
+            let now = self.board.now().0 as i64;
             self.camera.arm(&exposure)?;
             self.armed = Some(exposure);
             self.anchor = None;
+            let by_command = self.rig.camera.trigger == TriggerSource::Software;
+            self.requests = Some(Requests::armed(now, by_command));
         }
         Ok(())
     }
@@ -286,7 +299,8 @@ impl<'a> Acquisition<'a> {
     /// A picture at rest, where the slide stands.
     pub fn still(&mut self, index: u32, laser: bool) -> Result<Shot, AcquireError> {
         if self.rig.camera.trigger != TriggerSource::Board {
-            return self.still_by_camera(index, laser);
+            let told = self.still_by_camera(index, laser, &mut Vec::new());
+            return told.map(|(shot, _)| shot);
         }
         for _ in 0..TRIES {
             self.go_on()?;
@@ -325,50 +339,6 @@ impl<'a> Acquisition<'a> {
             tries: TRIES,
             camera: self.camera.description(),
         })
-    }
-
-    /// The same with a camera that the board does not trigger: its next frame that began after
-    /// everything stood still.
-    fn still_by_camera(&mut self, index: u32, laser: bool) -> Result<Shot, AcquireError> {
-        let position = self.board.status()?.position;
-        if laser {
-            self.board.laser(true)?;
-            self.rest(self.rig.laser.lead_ms)?;
-        }
-        let mut found = None;
-        for _ in 0..TRIES {
-            while self.camera.wait(Duration::ZERO)?.is_some() {}
-            if self.rig.camera.trigger == TriggerSource::Free {
-                // This one may have begun before.
-                self.wait_frame()?;
-            }
-            self.camera.fire()?;
-            if let Some(frame) = self.wait_frame()?
-                && frame.picture.is_some()
-            {
-                found = frame.picture;
-                break;
-            }
-        }
-        let status = self.board.status()?;
-        if laser {
-            self.board.laser(false)?;
-            if !status.laser {
-                return Err(AcquireError::Dark(index));
-            }
-        }
-        let picture = found.ok_or_else(|| AcquireError::NoFrames {
-            tries: TRIES,
-            camera: self.camera.description(),
-        })?;
-        let trigger = Trigger {
-            job: 0,
-            index,
-            position,
-            time: status.uptime,
-            laser,
-        };
-        Ok(self.shot(index, &trigger, picture))
     }
 
     /// Lets time pass on the board's clock.
@@ -419,44 +389,6 @@ impl<'a> Acquisition<'a> {
                     sink(shot)?;
                 }
                 Err(AcquireError::NoFrames { .. }) => sweep.missing.push(trigger.index),
-                Err(e) => return Err(e),
-            }
-        }
-        Ok(sweep)
-    }
-
-    /// A sweep with a camera that the board does not trigger: position by position.
-    fn sweep_by_camera(
-        &mut self,
-        request: &ScanRequest,
-        sink: &mut Sink,
-    ) -> Result<Sweep, AcquireError> {
-        let steps_per_mm = self.rig.board_config(1.0).steps_per_mm;
-        let plan = TriggerPlan::new(
-            steps_per_mm,
-            request.start_um,
-            request.spacing_um,
-            request.count,
-        )
-        .map_err(|e| LinkError::Unexpected(format!("no such plan: {e:?}")))?;
-        let mut sweep = Sweep {
-            planned: request.count,
-            ..Sweep::default()
-        };
-        let positions: Vec<Steps> = plan.positions().collect();
-        for (position, index) in positions.into_iter().zip(0..) {
-            self.go_on()?;
-            self.board.move_to(position, request.speed_um_s)?;
-            self.rest(self.rig.board.settle_ms)?;
-            match self.still(index, request.laser != ScanLaser::Off) {
-                Ok(shot) => {
-                    sweep.shots += 1;
-                    sink(shot)?;
-                }
-                Err(AcquireError::NoFrames { .. }) => {
-                    sweep.faults.push(Fault::Lost { trigger: index });
-                    sweep.missing.push(index);
-                }
                 Err(e) => return Err(e),
             }
         }

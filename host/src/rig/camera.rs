@@ -92,6 +92,10 @@ pub trait Camera: Send {
     fn fire(&mut self) -> Result<(), CameraError> {
         Ok(())
     }
+    /// What the clock of its time stamps shows now, µs, if it can be asked.
+    fn clock_us(&mut self) -> Option<i64> {
+        None
+    }
     /// The ledger's next line. Only a camera that exists in this process alone needs it, to learn
     /// what its trigger cable would have told it.
     fn ledger(&mut self, trigger: &Trigger) {

@@ -68,6 +68,16 @@ pub enum Fault {
         /// How far from where it was due, ms.
         by_ms: f64,
     },
+    /// It may have been exposed before its position was reached (a camera that the board does not
+    /// trigger).
+    Before {
+        /// The position that it was taken for.
+        trigger: u32,
+        /// The frame.
+        sequence: u64,
+        /// By how much at the most, ms.
+        by_ms: f64,
+    },
     /// A frame that belongs to no trigger, or might belong to two.
     Stray {
         /// The frame.
@@ -93,6 +103,16 @@ impl std::fmt::Display for Fault {
                 write!(
                     f,
                     "frame {sequence} was exposed {by_ms:.1} ms off trigger {trigger}"
+                )
+            }
+            Self::Before {
+                trigger,
+                sequence,
+                by_ms,
+            } => {
+                write!(
+                    f,
+                    "frame {sequence} may have been exposed {by_ms:.1} ms before position {trigger} was ready"
                 )
             }
             Self::Stray { sequence } => write!(f, "frame {sequence} belongs to no trigger"),

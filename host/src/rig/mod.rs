@@ -18,6 +18,7 @@ pub mod link;
 pub mod matching;
 pub mod open;
 pub mod recording;
+pub mod request;
 pub mod simulated;
 #[cfg(feature = "v4l")]
 pub mod uvc;

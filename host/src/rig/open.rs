@@ -1,7 +1,7 @@
 //! From the configuration to a connected board and an opened camera.
 
 use super::camera::{Camera, CameraError};
-use super::config::{CameraKind, Rig};
+use super::config::{CameraKind, Rig, TriggerSource};
 use super::folder::FolderCamera;
 use super::link::{self, Board, LinkError};
 use super::simulated::{Edge, SimulatedCamera, Stage};
@@ -88,13 +88,27 @@ pub fn simulated_board(rig: &Rig) -> SimulatedBoard {
 pub fn simulated(rig: &Rig) -> Result<Opened, OpenError> {
     let stage = stage(rig)?;
     let pipe = VirtualPipe::new(simulated_board(rig));
-    let camera = SimulatedCamera::wired(stage.clone(), wire(rig, &pipe));
+    let camera = beside(rig, &stage, &pipe);
     Ok(Opened {
         board: Board::over(pipe.clone())?,
         camera: Box::new(camera),
         stage: Some(stage),
         virtual_board: Some(pipe),
     })
+}
+
+/// A simulated camera beside a simulated board, started as the configuration says.
+pub fn beside(rig: &Rig, stage: &Stage, pipe: &VirtualPipe) -> SimulatedCamera {
+    match rig.camera.trigger {
+        TriggerSource::Board => SimulatedCamera::wired(stage.clone(), wire(rig, pipe)),
+        own => SimulatedCamera::by_itself(
+            stage.clone(),
+            pipe.clone(),
+            own,
+            rig.mm(1),
+            rig.board.clearance_mm,
+        ),
+    }
 }
 
 fn stage(rig: &Rig) -> Result<Stage, OpenError> {
@@ -143,6 +157,11 @@ pub fn open(rig: &Rig) -> Result<Opened, OpenError> {
 pub fn camera(rig: &Rig) -> Result<(Box<dyn Camera>, Option<Stage>), OpenError> {
     Ok(match rig.camera.kind {
         CameraKind::Simulated => {
+            if rig.camera.trigger != TriggerSource::Board {
+                return Err(OpenError::Port(
+                    "camera.trigger: a simulated camera beside a board behind a port learns of exposures by the board's ledger: give \"board\", or --port simulated".into(),
+                ));
+            }
             let stage = stage(rig)?;
             (
                 Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1))),

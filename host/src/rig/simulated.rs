@@ -1,9 +1,13 @@
 //! The simulated camera: renders the scene whenever its trigger edge comes, with the slide where
-//! the steps have truly put it and the laser as its pin truly stands.
+//! the steps have truly put it and the laser as its pin truly stands. Or exposes by command, or by
+//! itself, whatever slide and laser are doing then.
 
 use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
+use super::config::TriggerSource;
+use crate::simulation::mcu::{Exposed, VirtualPipe};
 use crate::simulation::{Renderer, Still, Subject};
 use cannula_shared::message::Trigger;
+use cannula_shared::units::{CYCLES_PER_MICRO, Micros};
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,6 +19,13 @@ const DRIFT: f64 = 2.3e-5;
 const EPOCH_US: f64 = 86_400_000_000.0;
 /// Exposures begin up to this long after their edge, µs.
 const JITTER_US: u64 = 40;
+/// From the end of an exposure to the frame, of a camera that exposes by command or by itself, µs.
+const LATENCY_US: u64 = 12_000;
+/// From one exposure to the next of a camera that runs by itself, µs.
+const PERIOD_US: u64 = 25_000;
+/// Frames that wait at most in a camera that runs by itself; later ones are dropped, as with
+/// Video4Linux: what waits is old.
+const QUEUE: usize = 4;
 
 /// A rising edge on the TRIGGER pin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +56,9 @@ pub enum Fate {
     Late(i64),
     /// It and what follows is held back until `wait` has timed out so many times.
     Held(u32),
+    /// It arrives late by so many µs, and what follows after it (a camera that exposes by command
+    /// or by itself).
+    Delayed(u64),
 }
 
 /// Decides the fate of the n-th edge (from 0) since the camera was made.
@@ -53,6 +67,8 @@ pub type Fates = Box<dyn FnMut(u64) -> Fate + Send>;
 struct Pending {
     sequence: u64,
     time_us: i64,
+    /// When it comes, µs of the board's clock.
+    comes_us: u64,
     picture: Option<Receiver<Picture>>,
 }
 
@@ -64,6 +80,8 @@ struct State {
     sequence: u64,
     held: u32,
     fates: Option<Fates>,
+    /// Of exposures that were asked for by command and have not begun.
+    commanded: VecDeque<Fate>,
     pending: VecDeque<Pending>,
     /// Light planes of the frames taken with the laser on, for truth.json: slide in mm, D.
     lit: Vec<(f64, f64)>,
@@ -91,6 +109,7 @@ impl Stage {
                 sequence: 0,
                 held: 0,
                 fates: None,
+                commanded: VecDeque::new(),
                 pending: VecDeque::new(),
                 lit: Vec::new(),
             })),
@@ -126,13 +145,26 @@ impl Stage {
 
     /// A rising edge: exposes, if the camera is armed and something stands before it.
     pub fn edge(&self, edge: Edge) {
+        let fate = self.next_fate();
+        self.expose(edge, fate);
+    }
+
+    /// The next exposure's fate, if the camera is armed and something stands before it.
+    fn next_fate(&self) -> Fate {
+        let mut state = self.state();
+        if state.still.is_none() || !state.armed {
+            return Fate::Ignored;
+        }
+        let n = state.edges;
+        state.edges += 1;
+        state.fates.as_mut().map_or(Fate::Fine, |f| f(n))
+    }
+
+    fn expose(&self, edge: Edge, fate: Fate) {
         let mut state = self.state();
         let (Some(still), true) = (state.still.clone(), state.armed) else {
             return;
         };
-        let n = state.edges;
-        state.edges += 1;
-        let fate = state.fates.as_mut().map_or(Fate::Fine, |f| f(n));
         if fate == Fate::Ignored {
             return;
         }
@@ -162,6 +194,8 @@ impl Stage {
             });
             receive
         };
+        let delay = if let Fate::Delayed(us) = fate { us } else { 0 };
+        let comes_us = edge.time_us + (1000.0 * state.exposure_ms) as u64 + LATENCY_US + delay;
         let copies = if fate == Fate::Double { 2 } else { 1 };
         for _ in 0..copies {
             let picture =
@@ -169,6 +203,7 @@ impl Stage {
             state.pending.push_back(Pending {
                 sequence,
                 time_us: time as i64 + late,
+                comes_us,
                 picture,
             });
         }
@@ -187,6 +222,30 @@ enum Cable {
     Wired(Box<dyn FnMut() -> Vec<Edge> + Send>),
     /// The ledger: the board is behind a port, and no cable leads here. mm a step.
     Ledger(f64),
+    /// None: it exposes by command or by itself, beside a simulated board.
+    Own(Own),
+}
+
+/// What a camera without a cable sees of the simulated board.
+struct Own {
+    board: VirtualPipe,
+    free: bool,
+    mm_per_step: f64,
+    zero_mm: f64,
+}
+
+impl Own {
+    fn edge(&self, e: &Exposed) -> Edge {
+        Edge {
+            time_us: e.cycle / CYCLES_PER_MICRO,
+            slide_mm: e.slide as f64 * self.mm_per_step - self.zero_mm,
+            laser: e.laser,
+        }
+    }
+
+    fn now_us(&self) -> u64 {
+        self.board.board().now().to_micros_down().0
+    }
 }
 
 impl SimulatedCamera {
@@ -199,6 +258,26 @@ impl SimulatedCamera {
         }
     }
 
+    /// A camera that the board does not trigger: by command, or running by itself. `zero_mm`: from
+    /// the home switch to the slide's zero.
+    pub fn by_itself(
+        stage: Stage,
+        board: VirtualPipe,
+        trigger: TriggerSource,
+        mm_per_step: f64,
+        zero_mm: f64,
+    ) -> Self {
+        Self {
+            stage,
+            cable: Cable::Own(Own {
+                board,
+                free: trigger == TriggerSource::Free,
+                mm_per_step,
+                zero_mm,
+            }),
+        }
+    }
+
     /// A camera that takes the ledger's lines for edges.
     pub fn by_ledger(stage: Stage, mm_per_step: f64) -> Self {
         Self {
@@ -208,8 +287,23 @@ impl SimulatedCamera {
     }
 
     fn look(&mut self) {
-        if let Cable::Wired(edges) = &mut self.cable {
-            edges().into_iter().for_each(|edge| self.stage.edge(edge));
+        match &mut self.cable {
+            Cable::Wired(edges) => edges().into_iter().for_each(|edge| self.stage.edge(edge)),
+            Cable::Ledger(_) => {}
+            Cable::Own(own) => {
+                let exposed = own.board.board().take_exposed();
+                for e in exposed.iter().filter(|e| e.trigger.is_none()) {
+                    let fate = if !own.free {
+                        self.stage.state().commanded.pop_front().unwrap_or_default()
+                    } else if self.stage.state().pending.len() >= QUEUE {
+                        // Exposed and counted, and no place for it.
+                        Fate::Lost
+                    } else {
+                        self.stage.next_fate()
+                    };
+                    self.stage.expose(own.edge(e), fate);
+                }
+            }
         }
     }
 }
@@ -232,17 +326,31 @@ impl Camera for SimulatedCamera {
         state.held = 0;
         state.exposure_ms = exposure.ms;
         state.armed = true;
+        state.commanded.clear();
+        if let Cable::Own(own) = &self.cable
+            && own.free
+        {
+            let period = PERIOD_US.max((1000.0 * exposure.ms) as u64);
+            own.board.board().expose_every(Some(Micros(period)));
+        }
         Ok(())
     }
 
     fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         self.look();
+        let now_us = match &self.cable {
+            Cable::Own(own) => own.now_us(),
+            Cable::Wired(_) | Cable::Ledger(_) => u64::MAX,
+        };
         let pending = {
             let mut state = self.stage.state();
             if state.held > 0 {
                 if !timeout.is_zero() {
                     state.held -= 1;
                 }
+                return Ok(None);
+            }
+            if state.pending.front().is_some_and(|p| p.comes_us > now_us) {
                 return Ok(None);
             }
             state.pending.pop_front()
@@ -276,8 +384,29 @@ impl Camera for SimulatedCamera {
         }
     }
 
+    fn fire(&mut self) -> Result<(), CameraError> {
+        let Cable::Own(own) = &self.cable else {
+            return Ok(());
+        };
+        if own.free {
+            return Ok(());
+        }
+        let (late, fate) = match self.stage.next_fate() {
+            Fate::Ignored => return Ok(()),
+            // It truly begins then: slide and laser are as they are then.
+            Fate::Late(us) => (us.max(0) as u64, Fate::Fine),
+            fate => (0, fate),
+        };
+        self.stage.state().commanded.push_back(fate);
+        own.board.board().expose_after(Micros(late));
+        Ok(())
+    }
+
     fn disarm(&mut self) -> Result<(), CameraError> {
         self.stage.state().armed = false;
+        if let Cable::Own(own) = &self.cable {
+            own.board.board().expose_every(None);
+        }
         Ok(())
     }
 }

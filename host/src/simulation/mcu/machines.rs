@@ -349,6 +349,17 @@ impl Machines {
         self.next_edge = from + self.interval;
     }
 
+    /// An exposure that no trigger has begun.
+    pub fn expose(&mut self, at: u64) {
+        let laser = self.trace.level(Pin::Laser);
+        self.exposed.push(Exposed {
+            trigger: None,
+            cycle: at,
+            slide: self.rig.slide,
+            laser,
+        });
+    }
+
     fn trigger(&mut self, at: u64) {
         self.trace.record(at, Pin::Trigger, true);
         self.trigger_fall = at + self.pulse;
@@ -364,7 +375,7 @@ impl Machines {
             return;
         }
         self.exposed.push(Exposed {
-            trigger: number,
+            trigger: Some(number),
             cycle: at,
             slide: self.rig.slide,
             laser,

@@ -33,6 +33,7 @@ use cannula_shared::hello::{Identity, ResetReason};
 use cannula_shared::units::{CYCLES_PER_MICRO, Cycles, Micros};
 use channel::Channel;
 use machines::Machines;
+use std::collections::VecDeque;
 use world::Wire;
 
 /// What one poll of the logic takes, whatever it does: about what the chip needs for a slice of work.
@@ -56,6 +57,10 @@ pub struct SimulatedBoard {
     to_host: Channel,
     identity: Identity,
     polls: u64,
+    /// Exposures that the camera begins by itself, cycles, in order.
+    own_exposures: VecDeque<u64>,
+    /// It runs by itself with this period, cycles; the next one.
+    free_running: Option<(u64, u64)>,
 }
 
 /// The wires between logic and world.
@@ -94,6 +99,8 @@ impl SimulatedBoard {
             to_host: Channel::new(2),
             identity,
             polls: 0,
+            own_exposures: VecDeque::new(),
+            free_running: None,
         }
     }
 
@@ -132,6 +139,42 @@ impl SimulatedBoard {
     /// Frames that the camera has exposed since the last call.
     pub fn take_exposed(&mut self) -> Vec<Exposed> {
         std::mem::take(&mut self.machines.exposed)
+    }
+
+    /// The camera exposes by itself after so long (a command to it).
+    pub fn expose_after(&mut self, time: Micros) {
+        let at = self.now + time.to_cycles().0;
+        let place = self.own_exposures.partition_point(|&t| t <= at);
+        self.own_exposures.insert(place, at);
+    }
+
+    /// From now on the camera exposes by itself with this period, or no more.
+    pub fn expose_every(&mut self, period: Option<Micros>) {
+        self.free_running = period.map(|p| {
+            let cycles = p.to_cycles().0.max(1);
+            (cycles, self.now + cycles)
+        });
+    }
+
+    /// The next exposure that the camera begins by itself.
+    fn next_own(&self) -> Option<u64> {
+        let free = self.free_running.map(|(_, next)| next);
+        free.into_iter()
+            .chain(self.own_exposures.front().copied())
+            .min()
+    }
+
+    /// Begins exposures that are due.
+    fn expose_due(&mut self) {
+        while let Some(at) = self.next_own().filter(|&at| at <= self.now) {
+            self.machines.expose(at);
+            match &mut self.free_running {
+                Some((period, next)) if *next == at => *next += *period,
+                _ => {
+                    self.own_exposures.pop_front();
+                }
+            }
+        }
     }
 
     /// What happens to bytes on their way to the board.
@@ -244,11 +287,14 @@ impl SimulatedBoard {
         if let Some(at) = self.to_host.next().filter(|&at| at > self.now) {
             next = next.min(at);
         }
+        if let Some(at) = self.next_own() {
+            next = next.min(at.max(self.now));
+        }
         // Edges up to there; an interrupt ends the stretch early.
-
         self.now = self
             .machines
             .advance(self.now, next, &self.wires, self.cpu_alive);
+        self.expose_due();
         if !self.cpu_alive {
             self.to_board.discard(self.now);
             return;

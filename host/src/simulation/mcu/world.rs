@@ -104,9 +104,9 @@ impl Default for Rig {
 /// A frame that the camera has exposed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exposed {
-    /// Number of the trigger since power-on.
-    pub trigger: u64,
-    /// When the trigger rose, in cycles.
+    /// Number of the trigger since power-on; `None`: the camera began by itself.
+    pub trigger: Option<u64>,
+    /// When the trigger rose (or the exposure began by itself), in cycles.
     pub cycle: u64,
     /// Where the slide stood then: steps away from the edge of the home switch.
     pub slide: i64,
