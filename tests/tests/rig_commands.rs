@@ -146,6 +146,16 @@ fn a_recording_in_parts_leads_to_the_needle() {
     let scene = cannula::simulation::Scene::new(cannula::simulation::Profile::Tiny, 6);
     let truth = cannula::simulation::Truth::new(&scene).unwrap();
     let result = json(&dir.path().join("live/result.json"));
+    // What it was measured with stands beside it.
+    let provenance = &result["provenance"];
+    assert_eq!(provenance["rig"]["board"]["port"], "simulated");
+    assert_eq!(provenance["rig"]["light"]["spacing_mm"], 10.0);
+    assert_eq!(provenance["rig"]["camera"]["trigger"], "board");
+    assert_eq!(provenance["calibration"]["file"], calibration.as_str());
+    assert_eq!(
+        provenance["calibration"]["time"],
+        json(Path::new(&calibration))["provenance"]["time"]
+    );
     let entry: Vec<f64> = result["entry"]["point_mm"]
         .as_array()
         .unwrap()

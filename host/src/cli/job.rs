@@ -4,8 +4,8 @@ use super::Output;
 pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
 use crate::needle;
 use crate::output::{
-    AngleSource, CalibrationFile, Doubt, OutputError, ResultFile, age, doubts as doubts_of,
-    loose_here, write_json, write_whole,
+    AngleSource, CalibrationFile, Doubt, OutputError, ResultFile, ScanProvenance, age,
+    doubts as doubts_of, loose_here, write_json, write_whole,
 };
 use crate::pipeline::{Calibrated, Measurement, Method, PipelineError, Stage, Times, measure};
 use crate::progress::Progress;
@@ -135,7 +135,7 @@ pub fn measure_and_write(
         measured.warnings.push(words);
     }
     let robot = session.manifest.robot_from_camera.as_ref();
-    let result = write_measured(folder, &measured, method, args, robot, times, begun)?;
+    let result = write_measured(folder, &measured, method, args, robot, None, times, begun)?;
     out.detail(&super::summary::times(times));
     if out.verbose > 1 {
         for (name, value) in report::settings(method, &settings) {
@@ -145,18 +145,21 @@ pub fn measure_and_write(
     Ok((result, measured))
 }
 
-/// Writes cloud and result of a measurement into `folder`.
+/// Writes cloud and result of a measurement into `folder`; `provenance` if a rig scanned it.
+#[allow(clippy::too_many_arguments)]
 pub fn write_measured(
     folder: &Path,
     measured: &Measurement,
     method: Method,
     args: &NeedleArgs,
     robot: Option<&[[f64; 4]; 4]>,
+    provenance: Option<ScanProvenance>,
     times: &Times,
     begun: Instant,
 ) -> anyhow::Result<ResultFile> {
     let source = args.settings().1;
     let mut result = ResultFile::new(measured, "cloud.ply", source, method, robot);
+    result.provenance = provenance;
     times.time(Stage::Write, || -> anyhow::Result<()> {
         Ok(write_cloud(folder, &measured.cloud, args)?)
     })?;

@@ -6,7 +6,7 @@ use super::job::{NeedleArgs, decision_words, doubt, write_measured, write_report
 use crate::calibration::RigModel;
 use crate::image::{Image, Pixel};
 use crate::needle::EntryRequest;
-use crate::output::{CalibrationFile, ResultFile};
+use crate::output::{CalibrationFile, ResultFile, ScanProvenance};
 use crate::pipeline::{
     FrameResult, Measurement, Method, PipelineError, Reconstruction, Stage, Times, exposed,
 };
@@ -189,13 +189,15 @@ impl Finished {
         }
     }
 
-    /// Writes cloud, result and report. `session` is the recording of the frames.
+    /// Writes cloud, result and report. `session` is the recording of the frames, `provenance` what
+    /// they were measured with.
     pub fn write(
         &self,
         folder: &Path,
         session: &Session,
         calibration: &CalibrationFile,
         needle: &NeedleArgs,
+        provenance: ScanProvenance,
     ) -> anyhow::Result<ResultFile> {
         let (measured, times) = (&self.measured, &self.times);
         let robot = session.manifest.robot_from_camera.as_ref();
@@ -205,6 +207,7 @@ impl Finished {
             Method::Ml,
             needle,
             robot,
+            Some(provenance),
             times,
             self.begun,
         )?;

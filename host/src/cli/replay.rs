@@ -5,7 +5,7 @@ use super::Output;
 use super::job::{NeedleArgs, measurement_text};
 use super::live::{Live, complain};
 use super::rig::interrupted;
-use crate::output::{CalibrationFile, read_calibration};
+use crate::output::{CalibrationFile, ScanProvenance, read_calibration};
 use crate::pipeline::{Method, Times, belong_together, calibrate};
 use crate::progress::Progress;
 use crate::rig::acquisition::{Follow, Shot};
@@ -111,7 +111,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut finished = finished.with_context(|| session.file().display().to_string())?;
     finished.warn(weak, &calibration, &args.needle, out);
     if let Some(folder) = &args.out {
-        finished.write(folder, &session, &calibration, &args.needle)?;
+        // What rig recorded it is not known; the calibration is, where one was given.
+        let file = args.calibration.as_deref();
+        let provenance = ScanProvenance::now(file.map(|f| (f, &calibration)), None);
+        finished.write(folder, &session, &calibration, &args.needle, provenance)?;
     }
     let (measured, after) = (&finished.measured, finished.after.as_secs_f64() * 1000.0);
     let object = json!({

@@ -5,7 +5,7 @@ use super::Output;
 use super::job::{NeedleArgs, measurement_text};
 use super::live::{Live, complain};
 use super::rig::{RigArgs, interrupted, say_homed};
-use crate::output::read_calibration;
+use crate::output::{ScanProvenance, read_calibration};
 use crate::pipeline::belong_together;
 use crate::progress::Progress;
 use crate::rig::acquisition::Acquisition;
@@ -124,7 +124,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut finished = finished.with_context(|| scanned.session.display().to_string())?;
     finished.warn(weak, &calibration, &args.needle, out);
     let session = Session::open(recording.folder())?;
-    let result = finished.write(&args.out, &session, &calibration, &args.needle)?;
+    let provenance = ScanProvenance::now(Some((&args.calibration, &calibration)), Some(&rig));
+    let result = finished.write(&args.out, &session, &calibration, &args.needle, provenance)?;
     let after = finished.after.as_secs_f64() * 1000.0;
     let object = json!({
         "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,

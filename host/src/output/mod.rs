@@ -6,7 +6,7 @@ mod result;
 mod trust;
 
 pub use calibration::{CalibrationFile, LightFile, read_calibration};
-pub use result::{AngleSource, ResultFile};
+pub use result::{AngleSource, CalibrationSource, ResultFile, ScanProvenance};
 pub use trust::{
     Doubt, LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS, age,
     age_words, doubts, loose_here, seconds,

@@ -1,11 +1,13 @@
 //! result.json: what the contract fixes, and beside it how sure it is.
 
-use super::{rows, three};
+use super::{CalibrationFile, rows, three};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::needle::Decision;
 use crate::pipeline::Measurement;
+use crate::rig::config::Rig;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// The value of `format`.
 const FORMAT: &str = "cannula-result/1";
@@ -47,9 +49,55 @@ pub struct ResultFile {
     method: &'static str,
     /// What is weak, a sentence each.
     pub warnings: Vec<String>,
+    /// What it was measured with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub provenance: Option<ScanProvenance>,
     /// Seconds a stage, summed over threads, and "wall".
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub seconds: BTreeMap<String, f64>,
+}
+
+/// What a scan was measured with ("provenance" of result.json).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ScanProvenance {
+    /// Program and version.
+    pub program: &'static str,
+    /// When, ISO 8601 in UTC.
+    pub time: String,
+    /// The calibration, if it came from a file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationSource>,
+    /// The rig's configuration as it was used: port, speeds, exposures, trigger, positions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rig: Option<Rig>,
+}
+
+/// Which calibration.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CalibrationSource {
+    /// Its file.
+    pub file: PathBuf,
+    /// When it was made, ISO 8601 in UTC, if it says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time: Option<String>,
+}
+
+impl ScanProvenance {
+    /// Of a scan that stands now.
+    pub fn now(
+        calibration: Option<(&std::path::Path, &CalibrationFile)>,
+        rig: Option<&Rig>,
+    ) -> Self {
+        Self {
+            program: concat!("cannula ", env!("CARGO_PKG_VERSION")),
+            time: super::seconds(jiff::Timestamp::now()),
+            calibration: calibration.map(|(file, made)| CalibrationSource {
+                file: file.to_owned(),
+                time: made.provenance.as_ref().and_then(|p| p.time.clone()),
+            }),
+            rig: rig.cloned(),
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -202,6 +250,7 @@ impl ResultFile {
             robot: robot.map(|t| Robot::new(d, t)),
             method: method.name(),
             warnings: m.warnings.clone(),
+            provenance: None,
             seconds: BTreeMap::new(),
         }
     }
