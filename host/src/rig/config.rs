@@ -474,18 +474,59 @@ impl Rig {
                 "\"board\": the frames of a folder follow the board's triggers",
             );
         }
-        if self.camera.kind == CameraKind::V4l && by_board {
+        let [left, top, width, height] = self.camera.region;
+        if (width == 0) != (height == 0) || (width == 0 && (left, top) != (0, 0)) {
             return fail(
-                "camera.trigger",
-                "board".into(),
-                "\"free\": a UVC camera has no trigger input",
+                "camera.region",
+                format!("{:?}", self.camera.region),
+                "[left, top, width, height], or [0, 0, 0, 0] for all of the sensor",
             );
+        }
+        if self.camera.kind == CameraKind::V4l {
+            self.check_uvc(&fail)?;
         }
         if let Err(e) = self.board_config(self.camera.exposure_laser_ms).validate() {
             return fail(
                 key_of(e.field),
                 format!("{} ({})", e.value, e.field.name()),
                 &format!("{} to {} in that unit, given the other keys", e.min, e.max),
+            );
+        }
+        Ok(())
+    }
+
+    /// What a UVC camera can't do is refused rather than passed over.
+    fn check_uvc(
+        &self,
+        fail: &dyn Fn(&'static str, String, &str) -> Result<(), ConfigError>,
+    ) -> Result<(), ConfigError> {
+        let c = &self.camera;
+        if c.trigger != TriggerSource::Free {
+            return fail(
+                "camera.trigger",
+                format!("{:?}", c.trigger).to_lowercase(),
+                "\"free\": a UVC camera has no trigger input and no trigger command",
+            );
+        }
+        if c.gain_db != 0.0 {
+            return fail(
+                "camera.gain_db",
+                c.gain_db.to_string(),
+                "0: a UVC camera's gain has no unit; set it with `v4l2-ctl --set-ctrl gain=…`",
+            );
+        }
+        if c.region[..2] != [0, 0] {
+            return fail(
+                "camera.region",
+                format!("{:?}", c.region),
+                "[0, 0, width, height]: a UVC camera has sizes, and no corner to begin at",
+            );
+        }
+        if !["Mono8", "Mono16"].contains(&c.pixel_format.as_str()) {
+            return fail(
+                "camera.pixel_format",
+                format!("{:?}", c.pixel_format),
+                "\"Mono8\" or \"Mono16\"",
             );
         }
         Ok(())
@@ -601,86 +642,4 @@ fn key_of(field: Field) -> &'static str {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn parse(text: &str) -> Result<Rig, ConfigError> {
-        Rig::parse(text, Path::new("rig.toml"))
-    }
-
-    #[test]
-    fn the_example_says_every_default() {
-        let rig = parse(EXAMPLE).unwrap();
-        assert_eq!(rig, Rig::default());
-        assert_eq!(rig, parse("").unwrap());
-        // Every key that there is stands in the example.
-        let all: toml::Table = toml::from_str(&toml::to_string(&rig).unwrap()).unwrap();
-        let example: toml::Table = toml::from_str(EXAMPLE).unwrap();
-        for (table, keys) in all {
-            for key in keys.as_table().unwrap().keys() {
-                assert!(example[&table].get(key).is_some(), "{table}.{key}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_is_wrong_is_said_with_its_key() {
-        for (text, words) in [
-            ("[board]\nspeed = 3", "line 2: unknown field `speed`"),
-            ("[camera]\nkind = \"usb\"", "line 2: unknown variant `usb`"),
-            (
-                "[camera]\nexposure_laser_ms = 0.0",
-                "camera.exposure_laser_ms is 0: give 0.001 to 1000",
-            ),
-            ("[board]\nsteps_per_mm = [0, 1]", "board.steps_per_mm is 0"),
-            (
-                "[board]\nsteps_per_mm = [800, 1]\nmax_speed_mm_s = 900.0",
-                "board.max_speed_mm_s is 900000",
-            ),
-            (
-                "[scan]\ncount = 200",
-                "scan.count is 200: give fewer positions: the last would lie at 398 mm",
-            ),
-            ("[checkerboard]\ncolumns = 5", "checkerboard.rows is 6"),
-            (
-                "[simulation]\nprofile = \"easy\"",
-                "simulation.profile is \"easy\"",
-            ),
-            ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
-            (
-                "[camera]\nkind = \"folder\"\ndevice = \"x\"\ntrigger = \"free\"",
-                "camera.trigger is free: give \"board\"",
-            ),
-            (
-                "[camera]\nkind = \"v4l\"\ndevice = \"/dev/video0\"",
-                "camera.trigger is board: give \"free\"",
-            ),
-            ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
-            ("[board\n", "line 1"),
-        ] {
-            let said = parse(text).unwrap_err().to_string();
-            assert!(
-                said.starts_with("rig.toml: ") && said.contains(words),
-                "{text}: {said}"
-            );
-            assert!(!said.contains('\n'));
-        }
-    }
-
-    #[test]
-    fn numbers_go_to_the_board_without_rounding() {
-        let rig = parse("[board]\nsteps_per_mm = [2032, 5]\n[scan]\nspacing_mm = 1.5").unwrap();
-        let config = rig.board_config(rig.camera.exposure_laser_ms);
-        assert_eq!(
-            config.steps_per_mm,
-            StepsPerMm {
-                numerator: 2032,
-                denominator: 5
-            }
-        );
-        assert_eq!(config.exposure_us, 5000);
-        assert_eq!(rig.scan_request().spacing_um, 1500);
-        assert!((rig.mm(2032) - 5.0).abs() < 1e-12);
-        config.validate().unwrap();
-    }
-}
+mod tests;

@@ -4,9 +4,10 @@
 use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
 use super::config;
 use crate::image::Image;
+use rustix::time::{ClockId, clock_gettime};
 use std::io::ErrorKind;
 use std::time::Duration;
-use v4l::buffer::Type;
+use v4l::buffer::{Flags, Type};
 use v4l::control::{Control, Value};
 use v4l::io::traits::CaptureStream;
 use v4l::prelude::MmapStream;
@@ -26,6 +27,11 @@ pub struct UvcCamera {
     name: String,
     format: Format,
     stream: Option<MmapStream<'static>>,
+    /// From the beginning of an exposure to the driver's time stamp at the most, µs.
+    before_stamp_us: i64,
+    frame_time_us: i64,
+    /// The driver stamps by the system's monotonic clock (known from the first frame on).
+    monotonic: bool,
 }
 
 fn failed(e: std::io::Error) -> CameraError {
@@ -33,8 +39,11 @@ fn failed(e: std::io::Error) -> CameraError {
 }
 
 impl UvcCamera {
-    /// Opens the device of the configuration ("/dev/video0") in grey, or in YUYV, whose first
-    /// channel is grey.
+    /// Opens the device of the configuration ("/dev/video0") for grey images: Mono8 as GREY or YUYV
+    /// (whose first channel is grey), Mono16 as Y16.
+    ///
+    /// # Errors
+    /// No such device, or one that does not give that format at that size.
     pub fn open(settings: &config::Camera) -> Result<Self, CameraError> {
         let not_found =
             |e: std::io::Error| CameraError::NotFound(settings.device.clone(), e.to_string());
@@ -44,21 +53,73 @@ impl UvcCamera {
         if width > 0 && height > 0 {
             (format.width, format.height) = (width, height);
         }
-        for fourcc in [b"GREY", b"Y16 ", b"YUYV"] {
-            format.fourcc = FourCC::new(fourcc);
-            format = device.set_format(&format).map_err(failed)?;
-            if format.fourcc == FourCC::new(fourcc) {
+        let size = (format.width, format.height);
+        let mut given = format;
+        let wanted = four_letters(&settings.pixel_format);
+        for letters in wanted {
+            format.fourcc = FourCC::new(letters);
+            (format.width, format.height) = size;
+            given = device.set_format(&format).map_err(failed)?;
+            if given.fourcc.repr == *letters {
                 break;
             }
         }
+        agreed(
+            &settings.pixel_format,
+            wanted,
+            size,
+            &given.fourcc.repr,
+            (given.width, given.height),
+        )?;
         let name = device.query_caps().map(|c| c.card).unwrap_or_default();
         Ok(Self {
             device,
             name,
-            format,
+            format: given,
             stream: None,
+            before_stamp_us: 0,
+            frame_time_us: (1000.0 * settings.frame_time_ms) as i64,
+            monotonic: false,
         })
     }
+}
+
+/// The formats of Video4Linux that give a pixel format of the configuration, the best one first.
+fn four_letters(pixel_format: &str) -> &'static [&'static [u8; 4]] {
+    match pixel_format {
+        "Mono8" => &[b"GREY", b"YUYV"],
+        "Mono16" => &[b"Y16 "],
+        _ => &[],
+    }
+}
+
+/// Whether what the camera gives is what was asked: a driver answers with what it likes better.
+fn agreed(
+    pixel_format: &str,
+    wanted: &[&[u8; 4]],
+    size: (u32, u32),
+    given: &[u8; 4],
+    given_size: (u32, u32),
+) -> Result<(), CameraError> {
+    if !wanted.contains(&given) {
+        return Err(CameraError::Setting {
+            key: "camera.pixel_format",
+            reason: format!(
+                "{pixel_format} was asked for, it gives {}",
+                String::from_utf8_lossy(given).trim_end()
+            ),
+        });
+    }
+    if size != given_size {
+        return Err(CameraError::Setting {
+            key: "camera.region",
+            reason: format!(
+                "{} × {} was asked for, it gives {} × {}; `v4l2-ctl --list-formats-ext` lists its sizes",
+                size.0, size.1, given_size.0, given_size.1
+            ),
+        });
+    }
+    Ok(())
 }
 
 /// Makes grey of a raw frame; `None` if it is too short or of a format that is not read.
@@ -108,18 +169,29 @@ impl Camera for UvcCamera {
             key: "camera.exposure_laser_ms",
             reason: e.to_string(),
         };
-        for (id, value) in [
-            (EXPOSURE_AUTO, 1),
-            (
-                EXPOSURE_ABSOLUTE,
-                (exposure.ms * 10.0).round().max(1.0) as i64,
-            ),
-        ] {
+        let asked = (exposure.ms * 10.0).round().max(1.0) as i64;
+        for (id, value) in [(EXPOSURE_AUTO, 1), (EXPOSURE_ABSOLUTE, asked)] {
             let value = Value::Integer(value);
             self.device
                 .set_control(Control { id, value })
                 .map_err(refused)?;
         }
+        // Drivers clamp without a word.
+        let taken = self.device.control(EXPOSURE_ABSOLUTE).map_err(refused)?;
+        if let Value::Integer(taken) = taken.value
+            && taken != asked
+        {
+            return Err(CameraError::Setting {
+                key: "camera.exposure_laser_ms or camera.exposure_board_ms",
+                reason: format!(
+                    "{} ms was asked for, it took {} ms",
+                    exposure.ms,
+                    taken as f64 / 10.0
+                ),
+            });
+        }
+        // The stamp is of the first byte's coming, or of the last one's: a frame later.
+        self.before_stamp_us = (1000.0 * exposure.ms) as i64 + self.frame_time_us;
         let stream =
             MmapStream::with_buffers(&self.device, Type::VideoCapture, BUFFERS).map_err(failed)?;
         self.stream = Some(stream);
@@ -139,20 +211,33 @@ impl Camera for UvcCamera {
             Err(e) => return Err(failed(e)),
         };
         let f = &self.format;
+        self.monotonic = meta.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
+        let whole = !meta.flags.contains(Flags::ERROR);
         let data = data.get(..meta.bytesused as usize).unwrap_or(data);
         Ok(Some(Frame {
             sequence: meta.sequence.into(),
             // Seconds are 32 bits wide on some targets.
             #[allow(clippy::unnecessary_cast)]
-            time_us: meta.timestamp.sec as i64 * 1_000_000 + meta.timestamp.usec as i64,
-            picture: grey(
-                &f.fourcc.repr,
-                f.width as usize,
-                f.height as usize,
-                f.stride as usize,
-                data,
-            ),
+            time_us: meta.timestamp.sec as i64 * 1_000_000 + meta.timestamp.usec as i64
+                - self.before_stamp_us,
+            picture: whole
+                .then(|| {
+                    grey(
+                        &f.fourcc.repr,
+                        f.width as usize,
+                        f.height as usize,
+                        f.stride as usize,
+                        data,
+                    )
+                })
+                .flatten(),
         }))
+    }
+
+    fn clock_us(&mut self) -> Option<i64> {
+        let now = clock_gettime(ClockId::Monotonic);
+        self.monotonic
+            .then(|| now.tv_sec * 1_000_000 + now.tv_nsec / 1000)
     }
 
     fn disarm(&mut self) -> Result<(), CameraError> {
@@ -164,6 +249,37 @@ impl Camera for UvcCamera {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn another_format_or_size_than_asked_is_refused() {
+        let said = |pixel_format: &str, given: &[u8; 4], size| {
+            agreed(
+                pixel_format,
+                four_letters(pixel_format),
+                (1280, 960),
+                given,
+                size,
+            )
+            .map_err(|e| e.to_string())
+        };
+        assert_eq!(said("Mono8", b"GREY", (1280, 960)), Ok(()));
+        assert_eq!(said("Mono8", b"YUYV", (1280, 960)), Ok(()));
+        assert_eq!(said("Mono16", b"Y16 ", (1280, 960)), Ok(()));
+        assert_eq!(
+            said("Mono8", b"MJPG", (1280, 960)).unwrap_err(),
+            "the camera does not take camera.pixel_format: Mono8 was asked for, it gives MJPG"
+        );
+        assert!(
+            said("Mono16", b"GREY", (1280, 960))
+                .unwrap_err()
+                .contains("it gives GREY")
+        );
+        assert!(
+            said("Mono8", b"GREY", (1280, 720))
+                .unwrap_err()
+                .contains("camera.region: 1280 × 960 was asked for, it gives 1280 × 720")
+        );
+    }
 
     #[test]
     fn grey_is_taken_out_of_each_format() {

@@ -1,0 +1,103 @@
+//! Defaults, refusals with their keys, numbers for the board.
+
+use super::*;
+
+fn parse(text: &str) -> Result<Rig, ConfigError> {
+    Rig::parse(text, Path::new("rig.toml"))
+}
+
+#[test]
+fn the_example_says_every_default() {
+    let rig = parse(EXAMPLE).unwrap();
+    assert_eq!(rig, Rig::default());
+    assert_eq!(rig, parse("").unwrap());
+    // Every key that there is stands in the example.
+    let all: toml::Table = toml::from_str(&toml::to_string(&rig).unwrap()).unwrap();
+    let example: toml::Table = toml::from_str(EXAMPLE).unwrap();
+    for (table, keys) in all {
+        for key in keys.as_table().unwrap().keys() {
+            assert!(example[&table].get(key).is_some(), "{table}.{key}");
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_is_said_with_its_key() {
+    for (text, words) in [
+        ("[board]\nspeed = 3", "line 2: unknown field `speed`"),
+        ("[camera]\nkind = \"usb\"", "line 2: unknown variant `usb`"),
+        (
+            "[camera]\nexposure_laser_ms = 0.0",
+            "camera.exposure_laser_ms is 0: give 0.001 to 1000",
+        ),
+        ("[board]\nsteps_per_mm = [0, 1]", "board.steps_per_mm is 0"),
+        (
+            "[board]\nsteps_per_mm = [800, 1]\nmax_speed_mm_s = 900.0",
+            "board.max_speed_mm_s is 900000",
+        ),
+        (
+            "[scan]\ncount = 200",
+            "scan.count is 200: give fewer positions: the last would lie at 398 mm",
+        ),
+        ("[checkerboard]\ncolumns = 5", "checkerboard.rows is 6"),
+        (
+            "[simulation]\nprofile = \"easy\"",
+            "simulation.profile is \"easy\"",
+        ),
+        ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
+        (
+            "[camera]\nkind = \"folder\"\ndevice = \"x\"\ntrigger = \"free\"",
+            "camera.trigger is free: give \"board\"",
+        ),
+        (
+            "[camera]\nkind = \"v4l\"\ndevice = \"/dev/video0\"",
+            "camera.trigger is board: give \"free\"",
+        ),
+        (
+            "[camera]\nkind = \"v4l\"\ndevice = \"/dev/video0\"\ntrigger = \"software\"",
+            "camera.trigger is software: give \"free\"",
+        ),
+        (
+            "[camera]\nkind = \"v4l\"\ndevice = \"x\"\ntrigger = \"free\"\ngain_db = 6.0",
+            "camera.gain_db is 6: give 0",
+        ),
+        (
+            "[camera]\nkind = \"v4l\"\ndevice = \"x\"\ntrigger = \"free\"\nregion = [8, 0, 640, 480]",
+            "camera.region is [8, 0, 640, 480]: give [0, 0, width, height]",
+        ),
+        (
+            "[camera]\nkind = \"v4l\"\ndevice = \"x\"\ntrigger = \"free\"\npixel_format = \"Mono12\"",
+            "camera.pixel_format is \"Mono12\": give \"Mono8\"",
+        ),
+        (
+            "[camera]\nregion = [0, 0, 640, 0]",
+            "camera.region is [0, 0, 640, 0]: give [left, top, width, height]",
+        ),
+        ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
+        ("[board\n", "line 1"),
+    ] {
+        let said = parse(text).unwrap_err().to_string();
+        assert!(
+            said.starts_with("rig.toml: ") && said.contains(words),
+            "{text}: {said}"
+        );
+        assert!(!said.contains('\n'));
+    }
+}
+
+#[test]
+fn numbers_go_to_the_board_without_rounding() {
+    let rig = parse("[board]\nsteps_per_mm = [2032, 5]\n[scan]\nspacing_mm = 1.5").unwrap();
+    let config = rig.board_config(rig.camera.exposure_laser_ms);
+    assert_eq!(
+        config.steps_per_mm,
+        StepsPerMm {
+            numerator: 2032,
+            denominator: 5
+        }
+    );
+    assert_eq!(config.exposure_us, 5000);
+    assert_eq!(rig.scan_request().spacing_um, 1500);
+    assert!((rig.mm(2032) - 5.0).abs() < 1e-12);
+    config.validate().unwrap();
+}
