@@ -5,14 +5,15 @@ use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot};
 use cannula::rig::capture::{self, CaptureError, Step};
 use cannula::rig::config::Mode;
 use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
-use cannula::rig::link::{Board, LinkError};
+use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula::rig::matching::Fault;
 use cannula::rig::open::{self, Opened};
 use cannula::rig::recording::Recording;
 use cannula::rig::simulated::{Fate, SimulatedCamera, Stage};
-use cannula::simulation::mcu::{Pin, RealTime};
+use cannula::simulation::mcu::{Pin, RealTime, VirtualPipe};
 use cannula::simulation::{Renderer, Scene, Subject};
 use cannula_shared::hello::ResetReason;
+use cannula_shared::units::Steps;
 use cannula_tests::sweeps::{off_by_px, opened, rig, sweep};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -266,6 +267,40 @@ fn an_open_interlock_is_said_not_recorded_as_dark_frames() {
         .set_interlock(true);
     let outcome = sweep(&rig, &mut opened, &stage);
     assert!(outcome.is_err(), "{outcome:?}");
+}
+
+/// A host that was killed leaves the slide in full motion; the next one comes at once.
+#[test]
+fn right_after_a_killed_host_the_next_one_waits_until_the_board_stands() {
+    let mut rig = rig(Mode::Constant);
+    // Two seconds of ramp.
+    rig.board.acceleration_mm_s2 = 25.0;
+    rig.scan.start_mm = 60.0;
+    let board = open::simulated_board(&rig);
+    let pipe = VirtualPipe::new(board);
+    let killed = Board::over(pipe.clone()).unwrap();
+    open::ready(&killed, &rig).unwrap();
+    let mut far = rig.scan_request();
+    (far.count, far.speed_um_s) = (80, 50_000);
+    let mut scan = killed.scan(&far).unwrap();
+    while !matches!(scan.next_event().unwrap(), Some(ScanEvent::Trigger(t)) if t.index == 20) {}
+    // No farewell, as after a kill.
+    std::mem::forget(scan);
+    std::mem::forget(killed);
+    let next = Board::over(pipe.clone()).unwrap();
+    let found = next.status().unwrap();
+    assert!(found.moving, "{found:?}");
+    assert_eq!(
+        open::ready(&next, &rig).unwrap(),
+        None,
+        "it knows its position"
+    );
+    let stands = next.status().unwrap();
+    assert!(
+        !stands.moving && !stands.laser && stands.position_known,
+        "{stands:?}"
+    );
+    assert!(next.move_to(Steps(800), 0).is_ok());
 }
 
 /// The same over a pseudo-terminal, with the real serial port code and in real time.

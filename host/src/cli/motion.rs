@@ -93,6 +93,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             | Command::Config
     );
     if needs_config {
+        open::at_rest(&board)?;
         board.configure(&config)?;
     }
     let done = |what: &str, status: &Status| {

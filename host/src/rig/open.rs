@@ -7,7 +7,8 @@ use super::link::{self, Board, LinkError};
 use super::simulated::{Edge, SimulatedCamera, Stage};
 use crate::simulation::mcu::{self, SimulatedBoard, VirtualPipe};
 use crate::simulation::{Renderer, Scene};
-use cannula_shared::message::State;
+use cannula_shared::message::{State, Status};
+use cannula_shared::units::Micros;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -197,10 +198,39 @@ fn v4l(_rig: &Rig) -> Result<Box<dyn Camera>, CameraError> {
     Err(CameraError::NotBuilt("UVC", "v4l"))
 }
 
-/// Configures the board, re-arms nothing, and homes it if it does not know where it is. Gives what
-/// homing found, if it was needed.
+/// How long a board may take to come to rest: a slow ramp down from full speed.
+const TO_REST: Micros = Micros(30_000_000);
+
+/// Waits until the board stands: a host that was killed right before leaves it on its ramp down, and
+/// a session that is opened ends what another one had begun.
+///
+/// # Errors
+/// It still moves after half a minute, or the link fails.
+pub fn at_rest(board: &Board) -> Result<Status, OpenError> {
+    let began = board.now();
+    loop {
+        let status = board.status()?;
+        let busy = matches!(
+            status.state,
+            State::Stopping | State::Homing | State::Scanning
+        );
+        if !busy && !status.moving {
+            return Ok(status);
+        }
+        if board.now().since(began) > TO_REST {
+            return Err(OpenError::Port(format!(
+                "the motion board still moves {} s after its last host went: `cannula motion stop`, or its emergency stop",
+                TO_REST.0 / 1_000_000
+            )));
+        }
+        board.keep_alive()?;
+    }
+}
+
+/// Waits until the board stands, configures it, re-arms nothing, and homes it if it does not know
+/// where it is. Gives what homing found, if it was needed.
 pub fn ready(board: &Board, rig: &Rig) -> Result<Option<link::Homed>, OpenError> {
-    if let State::Fault(fault) = board.status()?.state {
+    if let State::Fault(fault) = at_rest(board)?.state {
         return Err(OpenError::Port(format!(
             "the motion board is in fault ({fault}); mend the cause, then `cannula motion rearm`"
         )));
