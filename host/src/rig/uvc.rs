@@ -56,7 +56,7 @@ impl UvcCamera {
         let size = (format.width, format.height);
         let mut given = format;
         let wanted = four_letters(&settings.pixel_format);
-        for letters in wanted {
+        for &letters in wanted {
             format.fourcc = FourCC::new(letters);
             (format.width, format.height) = size;
             given = device.set_format(&format).map_err(failed)?;
