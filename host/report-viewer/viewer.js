@@ -2,7 +2,7 @@
 // (as in the paper's Figure 23). Data stand in the page as JSON; nothing is fetched.
 import {
   BufferAttribute, BufferGeometry, CylinderGeometry, DoubleSide, Float32BufferAttribute,
-  Group, Line, LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial, PerspectiveCamera, Points, PointsMaterial,
+  Group, Line, LineBasicMaterial, LineLoop, MathUtils, Mesh, MeshBasicMaterial, PerspectiveCamera, Points, PointsMaterial,
   Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer,
 } from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
@@ -69,6 +69,12 @@ function start(host, data) {
     g.setAttribute('position', new Float32BufferAttribute(data.vein.flat(), 3));
     layers.vein = new Line(g, new LineBasicMaterial({ color: 0x56b4e9 }));
   }
+  if (data.region) {
+    const g = new BufferGeometry();
+    g.setAttribute('position', new Float32BufferAttribute(data.region.flat(), 3));
+    layers.region = new LineLoop(g, new LineBasicMaterial({ color: 0x009e73 }));
+  }
+  if (data.sight) layers.sight = rod(data.sight[0], data.sight[1], 0.2, 0xd55e00);
   if (data.needle) {
     const group = new Group();
     group.add(rod(data.needle.from, data.needle.entry, data.needle.radius, 0x888888));
@@ -82,6 +88,7 @@ function start(host, data) {
 
   const controls = new OrbitControls(camera, canvas);
   controls.enableDamping = false;
+  controls.zoomToCursor = true;
   const scale = panel.querySelector('.scale');
   const legend = (kind) => {
     if (!scale) return;
@@ -91,12 +98,30 @@ function start(host, data) {
     scale.querySelector('.high').textContent = high;
   };
   legend('height');
-  const centre = new Vector3(...data.focus);
+  const focus = new Vector3(...data.focus);
+  const shown = [...position, ...(data.needle ? [...data.needle.from, ...data.needle.to] : []), ...(data.region ?? []).flat()];
   const first = () => {
     camera.up.set(...data.up);
-    // A narrow window must go farther away to show as much.
-    const far = data.reach * 3.9 * Math.max(1, 1.25 / camera.aspect);
-    camera.position.copy(centre).add(new Vector3(...data.view).normalize().multiplyScalar(far));
+    // As near as the whole cloud and the needle allow: a point (x, y, z) of a frame that looks along
+    // −z at the centre is seen from the distance z + max(|x|/tan(width/2), |y|/tan(height/2)).
+    const back = new Vector3(...data.view).normalize();
+    const right = new Vector3().crossVectors(camera.up, back).normalize(), above = new Vector3().crossVectors(back, right);
+    const tall = Math.tan(MathUtils.degToRad(camera.fov / 2)), wide = tall * camera.aspect, p = new Vector3();
+    // The middle of what is shown stands in the middle of the view.
+    const across = [Infinity, -Infinity], up = [Infinity, -Infinity];
+    const widen = (range, x) => { range[0] = Math.min(range[0], x); range[1] = Math.max(range[1], x); };
+    for (let i = 0; i < shown.length; i += 3) {
+      p.set(shown[i], shown[i + 1], shown[i + 2]).sub(focus);
+      widen(across, p.dot(right));
+      widen(up, p.dot(above));
+    }
+    const centre = focus.clone().addScaledVector(right, (across[0] + across[1]) / 2).addScaledVector(above, (up[0] + up[1]) / 2);
+    let far = 0;
+    for (let i = 0; i < shown.length; i += 3) {
+      p.set(shown[i], shown[i + 1], shown[i + 2]).sub(centre);
+      far = Math.max(far, p.dot(back) + Math.max(Math.abs(p.dot(right)) / wide, Math.abs(p.dot(above)) / tall));
+    }
+    camera.position.copy(centre).addScaledVector(back, 1.04 * far);
     controls.target.copy(centre);
     controls.update();
   };

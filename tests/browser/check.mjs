@@ -67,13 +67,24 @@ for (const [name, width, scheme] of [['wide', 1280, 'light'], ['narrow', 400, 'l
     }
     await changes('colour by height', () => page.locator('.scene select').selectOption('height'));
     if (!/mm/.test(await page.locator('.scale').textContent())) fault('heights have no unit');
+    const drag = async (button, keys) => {
+      for (const k of keys) await page.keyboard.down(k);
+      await page.mouse.move(x, y);
+      await page.mouse.down({ button });
+      await page.mouse.move(x + 60, y + 40, { steps: 5 });
+      await page.mouse.up({ button });
+      for (const k of keys) await page.keyboard.up(k);
+    };
+    await changes('panning by the right button', () => drag('right', []));
+    await changes('panning by shift', () => drag('left', ['Shift']));
+    await changes('the wheel', async () => { await page.mouse.move(x, y); await page.mouse.wheel(0, -200); });
     await changes('first view', () => page.locator('.scene button').click());
     await canvas.scrollIntoViewIfNeeded();
     if (!(await look()).equals(before)) fault('the first view does not come back');
     await page.pdf({ path: `${out}/report.pdf`, format: 'A4' });
   }
   if (name === 'narrow') {
-    // One finger turns, two zoom.
+    // One finger turns, two apart zoom, two side by side pan.
     const touch = await page.context().newCDPSession(page);
     const send = (type, points) => touch.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([dx, dy], id) => ({ x: x + dx, y: y + dy, id })) });
     const gesture = async (what, from, to) => {
@@ -85,7 +96,8 @@ for (const [name, width, scheme] of [['wide', 1280, 'light'], ['narrow', 400, 'l
       if (before.equals(await canvas.screenshot())) fault(`${what} does nothing`);
     };
     await gesture('a finger', [[0, 0]], [[70, 20]]);
-    await gesture('two fingers', [[-20, 0], [20, 0]], [[-70, 0], [70, 0]]);
+    await gesture('two fingers apart', [[-20, 0], [20, 0]], [[-70, 0], [70, 0]]);
+    await gesture('two fingers side by side', [[-30, 0], [30, 0]], [[10, 50], [70, 50]]);
   }
   const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
   if (over > 0) fault(`${name}: the page is ${over} px wider than the window`);
@@ -124,8 +136,9 @@ const ms = await page.evaluate(async () => {
   return times.sort((a, b) => a - b)[15];
 });
 console.log(`${many} points: ${ms.toFixed(1)} ms a frame while turning (median, software rendering)`);
-// Two processor cores that also do other work, and no graphics card: what is slower is a fault.
-if (ms > 700) fault(`a frame of ${many} points takes ${ms.toFixed(0)} ms`);
+// 130 ms on two processor cores that also do other work, without a graphics card: what takes much longer
+// is a fault.
+if (ms > 350) fault(`a frame of ${many} points takes ${ms.toFixed(0)} ms`);
 await page.locator('.view-3d canvas').screenshot({ path: `${out}/large.png` });
 await browser.close();
 console.log(faults.length ? `${faults.length} faults` : 'the report is sound: no console error, no request, the view turns');

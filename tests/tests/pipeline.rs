@@ -20,7 +20,7 @@ fn process(folder: &Path, method: Method) -> Done {
     let session = Session::open(folder).unwrap();
     let times = Times::default();
     let calibrated = calibrate(&session, method, &times, &Silent).unwrap();
-    let file = CalibrationFile::new(&calibrated, folder);
+    let file = CalibrationFile::new(&calibrated, &session);
     let rig = file.rig().unwrap();
     let settings = needle::Settings::default();
     let measured = measure(
@@ -134,7 +134,7 @@ fn without_dark_images_it_is_nearly_as_right() {
     let mut session = Session::open(&folder).unwrap();
     session.manifest.light.iter_mut().for_each(|l| l.off = None);
     let calibrated = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
-    let file = serde_json::to_value(CalibrationFile::new(&calibrated, &folder)).unwrap();
+    let file = serde_json::to_value(CalibrationFile::new(&calibrated, &session)).unwrap();
     let light = truth.light_plane_error(&file["light"]);
     println!("light plane {light:.4} mm");
     assert!(light <= 0.06);
@@ -227,7 +227,7 @@ fn boards_alone_give_a_camera_alone() {
     for method in [Method::Ml, Method::Paper] {
         let calibrated = calibrate(&session, method, &Times::default(), &Silent).unwrap();
         assert!(calibrated.rig().is_none());
-        let file = serde_json::to_value(CalibrationFile::new(&calibrated, &folder)).unwrap();
+        let file = serde_json::to_value(CalibrationFile::new(&calibrated, &session)).unwrap();
         assert!(file.get("light").is_none(), "{}", file["light"]);
         let fx = file["camera"]["fx"].as_f64().unwrap();
         let sigmas = (fx - Truth::read(&folder).fx()) / calibrated.covariance[(0, 0)].sqrt();
@@ -247,7 +247,7 @@ fn one_slide_position_gives_one_plane() {
     }
     // The paper's way finds no stripe on squares of 13 pixels.
     let calibrated = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
-    let file = serde_json::to_value(CalibrationFile::new(&calibrated, &folder)).unwrap();
+    let file = serde_json::to_value(CalibrationFile::new(&calibrated, &session)).unwrap();
     let light = &file["light"];
     for key in ["a", "b"] {
         assert_eq!(light.get(key), Some(&Value::Null), "{key}");

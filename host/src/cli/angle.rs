@@ -1,10 +1,8 @@
 //! `cannula angle SESSION --calibration FILE --out DIR`: cloud, plane, angle and needle axis.
 
 use super::Output;
-use super::job::{
-    MethodName, NeedleArgs, measure_and_write, measurement_text, needs_scan, write_report,
-};
-use crate::output::read_calibration;
+use super::job::{Job, MethodName, NeedleArgs, measurement_text, needs_scan};
+use crate::output::{ScanProvenance, read_calibration};
 use crate::pipeline::Times;
 use crate::session::Session;
 use std::path::PathBuf;
@@ -40,28 +38,18 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             args.calibration.display()
         );
     }
-    let (method, times) = (args.method.into(), Times::default());
-    let (result, measured) = measure_and_write(
-        &session,
-        &calibration,
-        method,
-        &args.needle,
-        &args.out,
-        &times,
+    let job = Job {
+        session: &session,
+        calibration: &calibration,
+        method: args.method.into(),
+        args: &args.needle,
+        folder: &args.out,
+        provenance: ScanProvenance::now(Some((&args.calibration, &calibration)), None),
+        times: &Times::default(),
         begun,
         out,
-    )?;
-    write_report(
-        &session,
-        None,
-        &calibration,
-        &measured,
-        method,
-        &args.needle,
-        Vec::new(),
-        &times,
-        &args.out,
-    )?;
+    };
+    let (result, measured) = job.run(|_| Vec::new())?;
     out.result(&result, || {
         format!(
             "{}\nwritten: {}",

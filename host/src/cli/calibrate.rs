@@ -3,16 +3,17 @@
 use super::Output;
 use super::job::{MethodName, calibration_text};
 use crate::output::{CalibrationFile, write_json};
-use crate::pipeline::{Times, calibrate};
+use crate::pipeline::{Stage, Times, calibrate};
+use crate::report;
 use crate::session::Session;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of the command.
 #[derive(clap::Args, Debug)]
 pub struct Args {
     /// The recording: a folder with session.json in it.
     session: PathBuf,
-    /// The calibration to write.
+    /// The calibration to write; its report stands beside it, as .html.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Which way to calibrate.
@@ -23,14 +24,48 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let session = Session::open(&args.session)?;
-    let calibrated = calibrate(&session, args.method.into(), &Times::default(), out)?;
-    let file = CalibrationFile::new(&calibrated, &args.session);
-    write_json(&args.out, &file)?;
+    let times = Times::default();
+    let method = args.method.into();
+    let page = page_beside(&args.out);
+    let report = |file: &CalibrationFile, refused: Vec<String>| -> anyhow::Result<()> {
+        let sources = report::Sources {
+            session: &session,
+            calibration: file,
+            outcome: report::Outcome::Calibrated(refused),
+            angle_source: "",
+            settings: report::calibration_settings(method),
+            puncture: None,
+            truth: Vec::new(),
+            times: &times,
+        };
+        Ok(report::write(&report::assemble(sources)?, &page)?)
+    };
+    let calibrated = calibrate(&session, method, &times, out).inspect_err(|e| {
+        // What there is, so that one sees why.
+        let Some(found) = e.calibrated() else { return };
+        match report(&CalibrationFile::new(found, &session), vec![e.to_string()]) {
+            Ok(()) => out.say(&format!("why, to be seen: {}", page.display())),
+            Err(e) => out.error(&e),
+        }
+    })?;
+    let file = CalibrationFile::new(&calibrated, &session);
+    times.time(Stage::Write, || write_json(&args.out, &file))?;
+    report(&file, Vec::new())?;
     out.result(&file, || {
         format!(
-            "{}\nwritten: {}",
+            "{}\nwritten: {}, {}",
             calibration_text(&calibrated),
-            args.out.display()
+            args.out.display(),
+            page.display()
         )
     })
+}
+
+/// The report's place beside the calibration: its name with .html.
+fn page_beside(file: &Path) -> PathBuf {
+    let page = file.with_extension("html");
+    if page == file {
+        return file.with_extension("report.html");
+    }
+    page
 }

@@ -3,12 +3,12 @@
 //! and the same pipeline as with hardware; then the errors against the truth.
 
 use super::Output;
-use super::job::{NeedleArgs, calibration_text, measure_and_write, measurement_text, write_report};
+use super::job::{Job, NeedleArgs, calibration_text, measurement_text};
 use super::live::complain;
 use super::rig::{interrupted, say_homed};
 use crate::calibration::LightModel;
-use crate::output::{CalibrationFile, write_json};
-use crate::pipeline::{Method, Times, calibrate};
+use crate::output::{CalibrationFile, ScanProvenance, write_json};
+use crate::pipeline::{Calibrated, Measurement, Method, Times, calibrate};
 use crate::progress::Progress;
 use crate::report;
 use crate::rig::acquisition::Acquisition;
@@ -18,7 +18,7 @@ use crate::rig::guide::Guide;
 use crate::rig::open::{self, SIMULATED};
 use crate::rig::recording::Recording;
 use crate::session::Session;
-use crate::simulation::compare::{Measured, errors, table};
+use crate::simulation::compare::{self, Measured, errors, table};
 use crate::simulation::{Lit, Profile, Recorded, Subject, Truth, write_truth};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -62,59 +62,31 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let session = Session::open(&folder)?;
     let times = Times::default();
     let calibrated = calibrate(&session, Method::Ml, &times, out)?;
-    let calibration = CalibrationFile::new(&calibrated, &folder);
+    let calibration = CalibrationFile::new(&calibrated, &session);
     write_json(&args.out.join("calibration.json"), &calibration)?;
-    let (result, measured) = measure_and_write(
-        &session,
-        &calibration,
-        Method::Ml,
-        &args.needle,
-        &args.out,
-        &times,
+    let job = Job {
+        session: &session,
+        calibration: &calibration,
+        method: Method::Ml,
+        args: &args.needle,
+        folder: &args.out,
+        provenance: ScanProvenance::now(None, Some(&rig)),
+        times: &times,
         begun,
         out,
-    )?;
-    let scene = renderer.scene();
-    let light = calibrated.light.as_ref().map_or(
-        LightModel {
-            normal: nalgebra::Vector3::z(),
-            a: 0.0,
-            b: 0.0,
-        },
-        |l| l.model,
-    );
-    let d = &measured.decision;
-    let cloud: Vec<_> = measured.cloud.iter().map(|p| p.position).collect();
-    let errors = errors(
-        scene,
-        &truth,
-        &Measured {
-            camera: calibrated.camera,
-            light,
-            plane: d.plane,
-            entry: d.entry,
-            vein: d.direction,
-            axis: (d.needle.axis, d.needle.angle),
-            cloud: &cloud,
-        },
-    );
-    let truth_rows = errors.iter().map(|e| report::TruthRow {
-        what: e.quantity.to_owned(),
-        error: e.error,
-        unit: e.unit.to_owned(),
-        limit: None,
-    });
-    write_report(
-        &session,
-        Some(&calibrated),
-        &calibration,
-        &measured,
-        Method::Ml,
-        &args.needle,
-        truth_rows.collect(),
-        &times,
-        &args.out,
-    )?;
+    };
+    let mut against_truth = Vec::new();
+    let (result, measured) = job.run(|measured| {
+        against_truth = against(&renderer, &truth, &calibrated, measured);
+        let rows = against_truth.iter().map(|e| report::TruthRow {
+            what: e.quantity.to_owned(),
+            error: e.error,
+            unit: e.unit.to_owned(),
+            limit: None,
+        });
+        rows.collect()
+    })?;
+    let errors = against_truth;
     let seconds = begun.elapsed().as_secs_f64();
     let object = serde_json::json!({
         "seed": args.seed, "profile": args.profile.name(),
@@ -131,6 +103,38 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             args.out.display()
         )
     })
+}
+
+/// The errors of calibration and measurement against the truth.
+fn against(
+    renderer: &crate::simulation::Renderer,
+    truth: &Truth,
+    calibrated: &Calibrated,
+    measured: &Measurement,
+) -> Vec<compare::Error> {
+    let light = calibrated.light.as_ref().map_or(
+        LightModel {
+            normal: nalgebra::Vector3::z(),
+            a: 0.0,
+            b: 0.0,
+        },
+        |l| l.model,
+    );
+    let d = &measured.decision;
+    let cloud: Vec<_> = measured.cloud.iter().map(|p| p.position).collect();
+    errors(
+        renderer.scene(),
+        truth,
+        &Measured {
+            camera: calibrated.camera,
+            light,
+            plane: d.plane,
+            entry: d.entry,
+            vein: d.direction,
+            axis: (d.needle.axis, d.needle.angle),
+            cloud: &cloud,
+        },
+    )
 }
 
 /// The rig of the demo: the defaults, with the simulated board and camera.

@@ -4,10 +4,10 @@ use super::Output;
 pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
 use crate::needle;
 use crate::output::{
-    AngleSource, CalibrationFile, Doubt, OutputError, ResultFile, ScanProvenance, age,
-    doubts as doubts_of, loose_here, write_json, write_whole,
+    AngleSource, CalibrationFile, OutputError, ResultFile, ScanProvenance, all_doubts, write_json,
+    write_whole,
 };
-use crate::pipeline::{Calibrated, Measurement, Method, PipelineError, Stage, Times, measure};
+use crate::pipeline::{Measurement, Method, PipelineError, Stage, Times, measure};
 use crate::progress::Progress;
 use crate::report;
 use crate::session::Session;
@@ -52,6 +52,10 @@ pub struct NeedleArgs {
     /// Write the cloud as cloud.csv too, with pixels and uncertainties.
     #[arg(long)]
     csv: bool,
+    /// Simulate the puncture at 30, 45 and 60° for the report (about 12 s) instead of drawing the
+    /// fast model's curves.
+    #[arg(long)]
+    puncture: bool,
 }
 
 fn angle(text: &str) -> Result<f64, String> {
@@ -90,7 +94,7 @@ impl NeedleArgs {
 
 /// Where the puncture decision chose the angle, its sentence goes wherever the angle goes: the
 /// paper's criterion may leave the clinical 15–30° or go through the far wall.
-pub fn decision_words(source: AngleSource) -> Option<String> {
+fn decision_words(source: AngleSource) -> Option<String> {
     (source == AngleSource::Puncture).then(|| crate::puncture::default_decision().sentence)
 }
 
@@ -108,69 +112,199 @@ pub fn needs_scan(session: &Session) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Measures the hand and writes cloud and result into `folder`.
-#[allow(clippy::too_many_arguments)]
-pub fn measure_and_write(
-    session: &Session,
-    calibration: &CalibrationFile,
-    method: Method,
-    args: &NeedleArgs,
-    folder: &Path,
-    times: &Times,
-    begun: Instant,
-    out: &Output,
-) -> anyhow::Result<(ResultFile, Measurement)> {
-    let rig = calibration.rig().ok_or_else(|| {
-        anyhow::anyhow!(
-            "{}: no light planes in this calibration; calibrate with a session that has \"light\"",
-            session.file().display()
-        )
-    })?;
-    let (settings, source) = args.settings();
-    let positions = calibration.positions();
-    let mut measured = measure(session, &rig, &positions, method, &settings, times, out)?;
-    doubt(calibration, &mut measured, begun, out);
-    if let Some(words) = decision_words(source) {
-        out.warn(&words);
-        measured.warnings.push(words);
-    }
-    let robot = session.manifest.robot_from_camera.as_ref();
-    let result = write_measured(folder, &measured, method, args, robot, None, times, begun)?;
-    out.detail(&super::summary::times(times));
-    if out.verbose > 1 {
-        for (name, value) in report::settings(method, &settings) {
-            out.detail(&format!("{name}: {value}"));
-        }
-    }
-    Ok((result, measured))
+/// A hand to be measured: what with, how, and where the results go.
+pub struct Job<'a> {
+    /// The recording.
+    pub session: &'a Session,
+    /// The rig's calibration.
+    pub calibration: &'a CalibrationFile,
+    /// Which way to measure.
+    pub method: Method,
+    /// What is asked of the needle.
+    pub args: &'a NeedleArgs,
+    /// The folder to write into.
+    pub folder: &'a Path,
+    /// What it is measured with.
+    pub provenance: ScanProvenance,
+    /// Where the time went.
+    pub times: &'a Times,
+    /// When the command began.
+    pub begun: Instant,
+    /// Where to speak.
+    pub out: &'a Output,
 }
 
-/// Writes cloud and result of a measurement into `folder`; `provenance` if a rig scanned it.
-#[allow(clippy::too_many_arguments)]
-pub fn write_measured(
-    folder: &Path,
-    measured: &Measurement,
-    method: Method,
-    args: &NeedleArgs,
-    robot: Option<&[[f64; 4]; 4]>,
-    provenance: Option<ScanProvenance>,
-    times: &Times,
-    begun: Instant,
-) -> anyhow::Result<ResultFile> {
-    let source = args.settings().1;
-    let mut result = ResultFile::new(measured, "cloud.ply", source, method, robot);
-    result.provenance = provenance;
-    times.time(Stage::Write, || -> anyhow::Result<()> {
-        Ok(write_cloud(folder, &measured.cloud, args)?)
-    })?;
-    result.seconds = seconds(times, begun);
-    // The result last: where it stands, all else stands.
-    write_json(&folder.join("result.json"), &result)?;
-    Ok(result)
+impl Job<'_> {
+    /// Measures the hand and writes cloud, result and report; where no angle is given, the cloud and
+    /// a report that shows why. `truth` gives the errors of a simulated rig.
+    pub fn run(
+        &self,
+        truth: impl FnOnce(&Measurement) -> Vec<report::TruthRow>,
+    ) -> anyhow::Result<(ResultFile, Measurement)> {
+        let rig = self.calibration.rig().ok_or_else(|| {
+            anyhow::anyhow!(
+                "{}: no light planes in this calibration; calibrate with a session that has \"light\"",
+                self.session.file().display()
+            )
+        })?;
+        let settings = self.args.settings().0;
+        let positions = self.calibration.positions();
+        let (session, times) = (self.session, self.times);
+        let mut measured = measure(
+            session,
+            &rig,
+            &positions,
+            self.method,
+            &settings,
+            times,
+            self.out,
+        )
+        .map_err(|e| self.refused(e.into()))?;
+        self.weigh(&mut measured);
+        let result = self.write(&measured)?;
+        self.report(&measured, truth(&measured))?;
+        self.out.detail(&super::summary::times(times));
+        if self.out.verbose > 1 {
+            for (name, value) in report::settings(self.method, &settings) {
+                self.out.detail(&format!("{name}: {value}"));
+            }
+        }
+        Ok((result, measured))
+    }
+
+    /// Adds to a measurement's warnings what speaks against the calibration that it was made with
+    /// (its age, how loose it is, what it said itself), what the region's curvature means, and what
+    /// the puncture decision says of its own angle. What this run has already said (a calibration
+    /// made since it began) is not said again on the terminal.
+    pub fn weigh(&self, m: &mut Measurement) {
+        let now = jiff::Timestamp::now();
+        let made = self
+            .calibration
+            .provenance
+            .as_ref()
+            .and_then(|p| p.time.as_ref());
+        let fresh = made
+            .and_then(|t| t.parse::<jiff::Timestamp>().ok())
+            .is_some_and(|then| {
+                now.duration_since(then).as_secs_f64() <= self.begun.elapsed().as_secs_f64() + 1.0
+            });
+        let scan = self.session.manifest.recorded.scan();
+        for doubt in all_doubts(self.calibration, scan, now, Some(&m.decision.uncertainty)) {
+            let words = doubt.sentence();
+            if !(fresh && doubt.said) {
+                self.out.warn(&words);
+            }
+            m.warnings.push(words);
+        }
+        let (settings, source) = self.args.settings();
+        let curved = m.decision.cautions(m.request.radius_mm, &settings.limits);
+        for words in curved.into_iter().chain(decision_words(source)) {
+            self.out.warn(&words);
+            m.warnings.push(words);
+        }
+    }
+
+    /// Writes cloud and result of a measurement.
+    pub fn write(&self, measured: &Measurement) -> anyhow::Result<ResultFile> {
+        let source = self.args.settings().1;
+        let robot = self.session.manifest.robot_from_camera.as_ref();
+        let mut result = ResultFile::new(measured, "cloud.ply", source, self.method, robot);
+        self.times.time(Stage::Write, || {
+            write_cloud(self.folder, &measured.cloud, self.args)
+        })?;
+        result.provenance = Some(self.provenance.clone());
+        result.seconds = seconds(self.times, self.begun);
+        // The result last: where it stands, all else stands.
+        write_json(&self.folder.join("result.json"), &result)?;
+        Ok(result)
+    }
+
+    /// Writes report.html of a measured hand.
+    pub fn report(
+        &self,
+        measured: &Measurement,
+        truth: Vec<report::TruthRow>,
+    ) -> anyhow::Result<()> {
+        let setup = crate::puncture::Setup::default();
+        let decision = crate::puncture::default_decision();
+        let mut section = report::decided(&decision, &setup);
+        if self.args.puncture {
+            let angles: Vec<f64> = decision.rows.iter().map(|r| r.angle_deg).collect();
+            let numerics = crate::puncture::Numerics::default();
+            let criterion = decision.criterion;
+            let found = super::puncture::simulate(&setup, &angles, &numerics, criterion, self.out)?;
+            report::with_reference(&mut section, &found);
+        }
+        let outcome = report::Outcome::Measured(measured);
+        self.assemble(outcome, Some(section), truth, "report.html")
+    }
+
+    /// Writes what there is where no angle is given (what the gates refuse; a file that can't be
+    /// read leaves nothing to show): the cloud and a report that says why. Gives the error back for
+    /// the user.
+    pub fn refused(&self, error: anyhow::Error) -> anyhow::Error {
+        let (reason, scanned) = match error.downcast_ref() {
+            Some(PipelineError::Needle {
+                source, scanned, ..
+            }) => (source.to_string(), Some(scanned.as_ref())),
+            Some(e) if e.calibrated().is_some() => (e.to_string(), None),
+            _ => return error,
+        };
+        let written = || -> anyhow::Result<()> {
+            let mut reasons = vec![reason];
+            let result = self.folder.join("result.json");
+            // Nobody may take an earlier run's needle for this hand's.
+            if result.exists() {
+                std::fs::rename(&result, self.folder.join("result-before.json"))?;
+                reasons.push(
+                    "the result of an earlier run in this folder was put aside as result-before.json: do not use it for this hand".to_owned(),
+                );
+            }
+            if let Some(s) = scanned {
+                write_cloud(self.folder, &s.cloud, self.args)?;
+            }
+            let outcome = report::Outcome::Refused(reasons, scanned);
+            self.assemble(outcome, None, Vec::new(), "report.html")?;
+            let page = self.folder.join("report.html");
+            self.out
+                .say(&format!("why, to be seen: {}", page.display()));
+            Ok(())
+        };
+        if let Err(e) = written() {
+            self.out.error(&e);
+        }
+        error
+    }
+
+    fn assemble(
+        &self,
+        outcome: report::Outcome,
+        puncture: Option<report::Puncture>,
+        truth: Vec<report::TruthRow>,
+        name: &str,
+    ) -> anyhow::Result<()> {
+        let (settings, source) = self.args.settings();
+        let mut rows = report::settings(self.method, &settings);
+        let measured_with = report::leaves(&self.provenance).into_iter();
+        rows.extend(
+            measured_with.filter(|(name, _)| !["program", "time"].contains(&name.as_str())),
+        );
+        let page = report::assemble(report::Sources {
+            session: self.session,
+            calibration: self.calibration,
+            outcome,
+            angle_source: source.words(),
+            settings: rows,
+            puncture,
+            truth,
+            times: self.times,
+        })?;
+        Ok(report::write(&page, &self.folder.join(name))?)
+    }
 }
 
 /// Writes cloud.ply, and cloud.xyz and cloud.csv where asked for.
-pub fn write_cloud(
+fn write_cloud(
     folder: &Path,
     points: &[crate::cloud::CloudPoint],
     args: &NeedleArgs,
@@ -187,100 +321,6 @@ pub fn write_cloud(
         write_whole(&folder.join("cloud.csv"), |w| write_csv(w, points))?;
     }
     Ok(())
-}
-
-/// Adds to a measurement's warnings what speaks against the calibration that it was made with: its
-/// age, how loose it is, what it said itself. What this run has already said (a calibration made
-/// since `begun`) is not said again on the terminal.
-pub fn doubt(calibration: &CalibrationFile, m: &mut Measurement, begun: Instant, out: &Output) {
-    let now = jiff::Timestamp::now();
-    let fresh = age(calibration).is_some_and(|then| {
-        now.duration_since(then).as_secs_f64() <= begun.elapsed().as_secs_f64() + 1.0
-    });
-    let u = &m.decision.uncertainty;
-    let here = loose_here(u.entry_parts_mm[0], u.angle_parts[0]);
-    let mut doubts: Vec<String> = here.iter().map(Doubt::sentence).collect();
-    for words in &doubts {
-        out.warn(words);
-    }
-    for words in doubts_of(calibration, now).iter().map(Doubt::sentence) {
-        if !fresh {
-            out.warn(&words);
-        }
-        doubts.push(words);
-    }
-    m.warnings.extend(doubts);
-}
-
-/// Writes report.html of a measured hand into `folder`; `calibrated` if the calibration was made in
-/// the same run (its residuals are then shown corner by corner), `truth` on a simulated rig.
-#[allow(clippy::too_many_arguments)]
-pub fn write_report(
-    session: &Session,
-    calibrated: Option<&Calibrated>,
-    calibration: &CalibrationFile,
-    measured: &Measurement,
-    method: Method,
-    args: &NeedleArgs,
-    truth: Vec<report::TruthRow>,
-    times: &Times,
-    folder: &Path,
-) -> anyhow::Result<()> {
-    let (settings, source) = args.settings();
-    let page = report::assemble(report::Sources {
-        session,
-        calibrated,
-        calibration,
-        outcome: report::Outcome::Measured(measured),
-        angle_source: source.words(),
-        settings: report::settings(method, &settings),
-        puncture: Some(report::decided(
-            &crate::puncture::default_decision(),
-            &crate::puncture::tissue::Setup::default(),
-        )),
-        truth,
-        times,
-    })?;
-    Ok(report::write(&page, &folder.join("report.html"))?)
-}
-
-/// Writes a report that says why there is no angle, and shows what there is. The error itself goes
-/// on to the user.
-#[allow(clippy::too_many_arguments)]
-pub fn report_refusal(
-    session: &Session,
-    calibrated: Option<&Calibrated>,
-    calibration: &CalibrationFile,
-    error: &anyhow::Error,
-    method: Method,
-    args: &NeedleArgs,
-    times: &Times,
-    folder: &Path,
-) -> anyhow::Result<()> {
-    // Only what the gates refuse: a file that can't be read leaves nothing to show.
-    let Some(PipelineError::Needle { source, .. }) = error.downcast_ref() else {
-        return Ok(());
-    };
-    let (settings, words) = args.settings();
-    let mut reasons = vec![source.to_string()];
-    if folder.join("result.json").exists() {
-        reasons.push(
-            "result.json and cloud.ply in this folder are of an earlier run: do not use them"
-                .to_owned(),
-        );
-    }
-    let page = report::assemble(report::Sources {
-        session,
-        calibrated,
-        calibration,
-        outcome: report::Outcome::Refused(reasons),
-        angle_source: words.words(),
-        settings: report::settings(method, &settings),
-        puncture: None,
-        truth: Vec::new(),
-        times,
-    })?;
-    Ok(report::write(&page, &folder.join("report.html"))?)
 }
 
 /// Seconds a stage (summed over threads), and of the clock on the wall.

@@ -2,13 +2,12 @@
 //! it is matched, so that the result stands right after the last one.
 
 use super::Output;
-use super::job::{NeedleArgs, decision_words, doubt, write_measured, write_report};
+use super::job::{Job, NeedleArgs};
 use crate::calibration::RigModel;
 use crate::image::{Image, Pixel};
-use crate::needle::EntryRequest;
 use crate::output::{CalibrationFile, ResultFile, ScanProvenance};
 use crate::pipeline::{
-    FrameResult, Measurement, Method, PipelineError, Reconstruction, Stage, Times, exposed,
+    FrameResult, Measurement, Method, PipelineError, Reconstruction, Times, exposed,
 };
 use crate::progress::Progress;
 use crate::rig::acquisition::{Shot, Sweep};
@@ -135,14 +134,20 @@ impl Live {
     }
 
     /// Plane, entry and needle, once the last frame is in.
-    pub fn decide(self, entry: &Entry, needle: &NeedleArgs) -> anyhow::Result<Finished> {
+    /// `file` is what an error names.
+    pub fn decide(
+        self,
+        file: &Path,
+        entry: &Entry,
+        needle: &NeedleArgs,
+    ) -> anyhow::Result<Finished> {
         if let Some(failure) = self.failure {
             return Err(failure);
         }
         let (last, begun) = (self.last, self.begun);
         let measured = match self.depth {
-            Depth::Eight(f) => decide(f.in_order(), entry, needle, &self.times),
-            Depth::Sixteen(f) => decide(f.in_order(), entry, needle, &self.times),
+            Depth::Eight(f) => decide(f.in_order(), file, entry, needle, &self.times),
+            Depth::Sixteen(f) => decide(f.in_order(), file, entry, needle, &self.times),
             Depth::Unknown => anyhow::bail!("no frame arrived"),
         }?;
         Ok(Finished {
@@ -156,74 +161,76 @@ impl Live {
 
 fn decide<P: Pixel>(
     whole: Reconstruction<P>,
+    file: &Path,
     entry: &Entry,
     needle: &NeedleArgs,
     times: &Times,
 ) -> anyhow::Result<Measurement> {
-    let request = EntryRequest::from(entry);
     let settings = needle.settings().0;
-    let decision = times.time(Stage::Needle, || whole.decide(&request, &settings))?;
-    Ok(Measurement {
-        cloud: whole.cloud,
-        background: whole.background,
-        counts: whole.counts,
-        request,
-        decision,
-        warnings: Vec::new(),
-    })
+    Ok(whole.finish(file, entry.into(), &settings, Vec::new(), times)?)
 }
 
 impl Finished {
-    /// Adds what is weak, and says it.
-    pub fn warn(
+    /// Adds what is weak, and says it; then writes cloud, result and report where there is a folder
+    /// for them.
+    #[allow(clippy::too_many_arguments)]
+    pub fn conclude(
         &mut self,
         weak: Vec<String>,
-        calibration: &CalibrationFile,
-        needle: &NeedleArgs,
-        out: &Output,
-    ) {
-        doubt(calibration, &mut self.measured, self.begun, out);
-        for words in weak.into_iter().chain(decision_words(needle.settings().1)) {
-            out.warn(&words);
-            self.measured.warnings.push(words);
-        }
-    }
-
-    /// Writes cloud, result and report. `session` is the recording of the frames, `provenance` what
-    /// they were measured with.
-    pub fn write(
-        &self,
-        folder: &Path,
+        folder: Option<&Path>,
         session: &Session,
         calibration: &CalibrationFile,
         needle: &NeedleArgs,
         provenance: ScanProvenance,
-    ) -> anyhow::Result<ResultFile> {
-        let (measured, times) = (&self.measured, &self.times);
-        let robot = session.manifest.robot_from_camera.as_ref();
-        let result = write_measured(
-            folder,
-            measured,
-            Method::Ml,
-            needle,
-            robot,
-            Some(provenance),
-            times,
-            self.begun,
-        )?;
-        write_report(
+        out: &Output,
+    ) -> anyhow::Result<Option<ResultFile>> {
+        let job = Job {
             session,
-            None,
             calibration,
-            measured,
-            Method::Ml,
-            needle,
-            Vec::new(),
-            times,
-            folder,
-        )?;
-        Ok(result)
+            method: Method::Ml,
+            args: needle,
+            folder: folder.unwrap_or(Path::new("")),
+            provenance,
+            times: &self.times,
+            begun: self.begun,
+            out,
+        };
+        for words in weak {
+            out.warn(&words);
+            self.measured.warnings.push(words);
+        }
+        job.weigh(&mut self.measured);
+        if folder.is_none() {
+            return Ok(None);
+        }
+        let result = job.write(&self.measured)?;
+        job.report(&self.measured, Vec::new())?;
+        Ok(Some(result))
     }
+}
+
+/// Writes what there is of a live scan that gave no angle; gives the error back.
+pub fn refused(
+    error: anyhow::Error,
+    folder: &Path,
+    session: &Session,
+    calibration: &CalibrationFile,
+    needle: &NeedleArgs,
+    provenance: ScanProvenance,
+    out: &Output,
+) -> anyhow::Error {
+    let job = Job {
+        session,
+        calibration,
+        method: Method::Ml,
+        args: needle,
+        folder,
+        provenance,
+        times: &Times::default(),
+        begun: Instant::now(),
+        out,
+    };
+    job.refused(error)
 }
 
 /// Says what went wrong in a sweep, if anything did.
@@ -280,7 +287,9 @@ mod tests {
                     arrived: Instant::now(),
                 });
             }
-            live.decide(entry, &needle).unwrap().measured
+            live.decide(session.file(), entry, &needle)
+                .unwrap()
+                .measured
         };
         let straight: Vec<usize> = (0..scan.frames.len()).collect();
         let middle = straight.len() / 2;

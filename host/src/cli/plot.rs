@@ -4,7 +4,7 @@
 use super::Output;
 use super::output::BadArgument;
 use crate::cloud::read_ply;
-use crate::output::write_whole;
+use crate::output::{CalibrationFile, read_calibration, write_whole};
 use crate::pipeline::{Method, Times, calibrate};
 use crate::report::chart::{self, Plot, figure};
 use crate::report::{calibration_section, puncture_folder, stripe_sample};
@@ -21,7 +21,7 @@ pub struct Args {
 
 #[derive(clap::Subcommand, Debug)]
 enum What {
-    /// Reprojection residuals, coverage, tilts and light planes of a session.
+    /// Reprojection residuals, coverage, tilts and light planes of a session, or of a calibration.json.
     Calibration(Job),
     /// The cloud from above; INPUT is a folder with cloud.ply.
     Cloud(Job),
@@ -50,9 +50,16 @@ struct Job {
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let (job, plots) = match args.what {
         What::Calibration(job) => {
-            let session = Session::open(&job.input)?;
-            let found = calibrate(&session, Method::Ml, &Times::default(), out)?;
-            let c = calibration_section(&found);
+            let file = if job.input.extension().is_some_and(|e| e == "json")
+                && job.input.file_name().is_some_and(|n| n != "session.json")
+            {
+                read_calibration(&job.input)?
+            } else {
+                let session = Session::open(&job.input)?;
+                let found = calibrate(&session, Method::Ml, &Times::default(), out)?;
+                CalibrationFile::new(&found, &session)
+            };
+            let c = calibration_section(&file, Vec::new(), None);
             let mut plots = vec![
                 chart::view_rms(&c),
                 chart::residuals(&c),

@@ -1,11 +1,8 @@
 //! `cannula process SESSION --out DIR`: calibration, angle and the report in one go.
 
 use super::Output;
-use super::job::{
-    MethodName, NeedleArgs, calibration_text, measure_and_write, measurement_text, needs_scan,
-    report_refusal, write_report,
-};
-use crate::output::{CalibrationFile, write_json};
+use super::job::{Job, MethodName, NeedleArgs, calibration_text, measurement_text, needs_scan};
+use crate::output::{CalibrationFile, ScanProvenance, write_json};
 use crate::pipeline::{Stage, Times, calibrate};
 use crate::session::Session;
 use std::path::PathBuf;
@@ -38,47 +35,31 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         return Err(session.missing("light", remedy).into());
     }
     let method = args.method.into();
-    let calibrated = calibrate(&session, method, &times, out)?;
-    let calibration = CalibrationFile::new(&calibrated, &args.session);
+    let calibrated = calibrate(&session, method, &times, out);
+    // What a gate refuses is shown all the same.
+    let calibration = match &calibrated {
+        Ok(found) => Some(CalibrationFile::new(found, &session)),
+        Err(e) => e.calibrated().map(|c| CalibrationFile::new(c, &session)),
+    };
+    let Some(calibration) = calibration else {
+        return calibrated.map(|_| ()).map_err(anyhow::Error::from);
+    };
+    let job = Job {
+        session: &session,
+        calibration: &calibration,
+        method,
+        args: &args.needle,
+        folder: &args.out,
+        provenance: ScanProvenance::now(None, None),
+        times: &times,
+        begun,
+        out,
+    };
+    let calibrated = calibrated.map_err(|e| job.refused(e.into()))?;
     times.time(Stage::Write, || {
         write_json(&args.out.join("calibration.json"), &calibration)
     })?;
-    let (result, measured) = measure_and_write(
-        &session,
-        &calibration,
-        method,
-        &args.needle,
-        &args.out,
-        &times,
-        begun,
-        out,
-    )
-    .inspect_err(|e| {
-        let told = report_refusal(
-            &session,
-            Some(&calibrated),
-            &calibration,
-            e,
-            method,
-            &args.needle,
-            &times,
-            &args.out,
-        );
-        if let Err(e) = told {
-            out.error(&e);
-        }
-    })?;
-    write_report(
-        &session,
-        Some(&calibrated),
-        &calibration,
-        &measured,
-        method,
-        &args.needle,
-        Vec::new(),
-        &times,
-        &args.out,
-    )?;
+    let (result, measured) = job.run(|_| Vec::new())?;
     out.result(&result, || {
         format!(
             "{}\n{}\nwritten: {}",

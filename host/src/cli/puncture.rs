@@ -103,61 +103,17 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     // The longest path first: the cores finish together.
     angles.sort_by(f64::total_cmp);
     angles.dedup();
-    let jobs: Vec<_> = angles.iter().map(|&a| (setup, a, numerics)).collect();
-    let results = run_all(&jobs, out);
-    let (mut runs, mut curves, mut energies) = (Vec::new(), Vec::new(), Vec::new());
-    let mut stopped = Vec::new();
-    for (&angle_deg, result) in angles.iter().zip(results) {
-        match result {
-            Ok(run) => {
-                runs.push(summary(&run));
-                curves.push(curve(&run));
-                energies.push(run.samples.iter().map(|s| s.energy).collect());
-            }
-            Err(e) => {
-                out.warn(&format!("{angle_deg}°: {e}"));
-                stopped.push(StoppedRun {
-                    angle_deg,
-                    reason: e,
-                });
-            }
-        }
-    }
-    let convergence = if args.convergence {
-        refine(&setup, &runs, &numerics, out)
-    } else {
-        Vec::new()
-    };
     let criterion = match args.criterion.as_str() {
         "constrained" => Criterion::Constrained,
         _ => Criterion::Paper,
     };
-    let reference: Vec<Reference> = runs
-        .iter()
-        .map(|r| Reference {
-            mesh_mm: numerics.h_mm,
-            angle_deg: r.angle_deg,
-            peak_force_n: r.peak_force_n,
-            work_n_mm: r.work_n_mm,
-        })
-        .collect();
-    let done: Vec<f64> = runs.iter().map(|r| r.angle_deg).collect();
-    let fast = Calibration::stored();
-    let Some(decision) = decision::decide(&setup, fast, &done, &reference, criterion) else {
-        let reasons: Vec<&str> = stopped.iter().map(|s| s.reason.as_str()).collect();
-        anyhow::bail!("no angle could be computed: {}", reasons.join("; "));
-    };
-    let paper = args.paper_layers.then(|| paper_preset::compare(&runs));
-    let report = PunctureReport {
-        convergence,
-        paper,
-        format: "cannula-puncture/1",
-        runs,
-        stopped,
-        decision,
-        curves,
-        energies,
-    };
+    let mut report = simulate(&setup, &angles, &numerics, criterion, out)?;
+    if args.convergence {
+        report.convergence = refine(&setup, &report.runs, &numerics, out);
+    }
+    report.paper = args
+        .paper_layers
+        .then(|| paper_preset::compare(&report.runs));
     write(&report, &args.out)?;
     let page = crate::report::of_puncture(
         crate::report::punctured(&report, &setup),
@@ -195,6 +151,61 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             }
         }
         text
+    })
+}
+
+/// The reference simulation at these angles, and the decision between them.
+pub fn simulate(
+    setup: &Setup,
+    angles: &[f64],
+    numerics: &Numerics,
+    criterion: Criterion,
+    out: &Output,
+) -> anyhow::Result<PunctureReport> {
+    let jobs: Vec<_> = angles.iter().map(|&a| (*setup, a, *numerics)).collect();
+    let results = run_all(&jobs, out);
+    let (mut runs, mut curves, mut energies) = (Vec::new(), Vec::new(), Vec::new());
+    let mut stopped = Vec::new();
+    for (&angle_deg, result) in angles.iter().zip(results) {
+        match result {
+            Ok(run) => {
+                runs.push(summary(&run));
+                curves.push(curve(&run));
+                energies.push(run.samples.iter().map(|s| s.energy).collect());
+            }
+            Err(e) => {
+                out.warn(&format!("{angle_deg}°: {e}"));
+                stopped.push(StoppedRun {
+                    angle_deg,
+                    reason: e,
+                });
+            }
+        }
+    }
+    let reference: Vec<Reference> = runs
+        .iter()
+        .map(|r| Reference {
+            mesh_mm: numerics.h_mm,
+            angle_deg: r.angle_deg,
+            peak_force_n: r.peak_force_n,
+            work_n_mm: r.work_n_mm,
+        })
+        .collect();
+    let done: Vec<f64> = runs.iter().map(|r| r.angle_deg).collect();
+    let fast = Calibration::stored();
+    let Some(decision) = decision::decide(setup, fast, &done, &reference, criterion) else {
+        let reasons: Vec<&str> = stopped.iter().map(|s| s.reason.as_str()).collect();
+        anyhow::bail!("no angle could be computed: {}", reasons.join("; "));
+    };
+    Ok(PunctureReport {
+        convergence: Vec::new(),
+        paper: None,
+        format: "cannula-puncture/1",
+        runs,
+        stopped,
+        decision,
+        curves,
+        energies,
     })
 }
 

@@ -11,7 +11,6 @@ use crate::progress::Progress;
 use crate::rig::acquisition::{Follow, Shot};
 use crate::rig::folder::{self, FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
 use crate::session::Session;
-use anyhow::Context;
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -45,7 +44,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         Some(path) => read_calibration(path)?,
         None => CalibrationFile::new(
             &calibrate(&session, Method::Ml, &Times::default(), out)?,
-            &args.session,
+            &session,
         ),
     };
     let model = calibration.rig().ok_or_else(|| {
@@ -107,15 +106,26 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     out.finish();
     let (sweep, _) = played?;
     complain(&sweep, Duration::ZERO, out);
-    let finished = live.decide(entry, &args.needle);
-    let mut finished = finished.with_context(|| session.file().display().to_string())?;
-    finished.warn(weak, &calibration, &args.needle, out);
-    if let Some(folder) = &args.out {
-        // What rig recorded it is not known; the calibration is, where one was given.
-        let file = args.calibration.as_deref();
-        let provenance = ScanProvenance::now(file.map(|f| (f, &calibration)), None);
-        finished.write(folder, &session, &calibration, &args.needle, provenance)?;
-    }
+    let finished = live.decide(session.file(), entry, &args.needle);
+    let folder = args.out.as_deref();
+    // What rig recorded it is not known; the calibration is, where one was given.
+    let file = args.calibration.as_deref();
+    let provenance = ScanProvenance::now(file.map(|f| (f, &calibration)), None);
+    let with = provenance.clone();
+    let needle = &args.needle;
+    let mut finished = finished.map_err(|e| match folder {
+        Some(folder) => super::live::refused(e, folder, &session, &calibration, needle, with, out),
+        None => e,
+    })?;
+    finished.conclude(
+        weak,
+        folder,
+        &session,
+        &calibration,
+        needle,
+        provenance,
+        out,
+    )?;
     let (measured, after) = (&finished.measured, finished.after.as_secs_f64() * 1000.0);
     let object = json!({
         "frames": sweep.shots, "faults": sweep.complaints(), "points": measured.cloud.len(),

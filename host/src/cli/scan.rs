@@ -14,7 +14,6 @@ use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
 use crate::session::{Entry, Session};
 use crate::simulation::{Subject, Truth};
-use anyhow::Context;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -92,6 +91,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     recording.manifest.entry = Some(entry.clone());
     recording.scan_folder(args.force)?;
     say_homed(open::ready(board, &rig)?, &rig, out);
+    let file = recording.folder().join("session.json");
     let mut live = Some(Live::new(model));
     let mut finished = None;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
@@ -109,7 +109,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     out.step();
                 }
                 (Step::Swept, live) => {
-                    finished = live.take().map(|live| live.decide(&entry, &args.needle));
+                    finished = live
+                        .take()
+                        .map(|live| live.decide(&file, &entry, &args.needle));
                 }
                 (_, None) => {}
             }
@@ -121,11 +123,29 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     complain(&scanned.sweep, scanned.waited, out);
     // The recording stands; now whether it gave an angle.
     let finished = finished.unwrap_or_else(|| Err(anyhow::anyhow!("no frame arrived")));
-    let mut finished = finished.with_context(|| scanned.session.display().to_string())?;
-    finished.warn(weak, &calibration, &args.needle, out);
     let session = Session::open(recording.folder())?;
     let provenance = ScanProvenance::now(Some((&args.calibration, &calibration)), Some(&rig));
-    let result = finished.write(&args.out, &session, &calibration, &args.needle, provenance)?;
+    let with = provenance.clone();
+    let mut finished = finished.map_err(|e| {
+        super::live::refused(
+            e,
+            &args.out,
+            &session,
+            &calibration,
+            &args.needle,
+            with,
+            out,
+        )
+    })?;
+    let result = finished.conclude(
+        weak,
+        Some(&args.out),
+        &session,
+        &calibration,
+        &args.needle,
+        provenance,
+        out,
+    )?;
     let after = finished.after.as_secs_f64() * 1000.0;
     let object = json!({
         "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,

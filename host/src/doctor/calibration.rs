@@ -81,7 +81,7 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
         Some(then) => c.good("age", age_words(then, now)),
         None => c.skipped("age", "it carries no date"),
     }
-    let doubts = doubts(&found, now);
+    let doubts = doubts(&found, None, now);
     if doubts.is_empty() {
         c.good(
             "tightness",

@@ -59,6 +59,12 @@ pub struct Limits {
     pub coverage: f64,
     /// Largest root mean square distance of the surface from the plane, as a part of the radius.
     pub roughness: f64,
+    /// The same from which the region is called curved: as a cylinder whose slope turns by 1.1° a
+    /// millimetre where the radius is 12 mm.
+    pub curved: f64,
+    /// Difference of the needle's angles to the region's plane and to that of half the radius from
+    /// which the angle is said to hang on the radius, rad.
+    pub turn: f64,
     /// Largest standard deviation of the needle's angle to the plane, rad.
     pub angle_sigma: f64,
     /// Largest standard deviation of the entry point, mm.
@@ -78,6 +84,8 @@ impl Default for Limits {
             gap_mm: 3.0,
             coverage: 0.8,
             roughness: 0.09,
+            curved: 0.03,
+            turn: 1f64.to_radians(),
             angle_sigma: 1f64.to_radians(),
             entry_sigma_mm: 1.0,
             obliquity: 75f64.to_radians(),
@@ -130,6 +138,12 @@ pub struct Decision {
     pub rms_mm: f64,
     /// Part of the region's disc that the measured surface covers.
     pub coverage: f64,
+    /// Radius of the cylinder whose surface would be as far from its plane, mm; infinite for a flat
+    /// region.
+    pub bend_mm: f64,
+    /// The needle's angle to the plane of half the region's radius, rad: how much the angle hangs
+    /// on the radius. `None` where that has no plane.
+    pub inner_angle: Option<f64>,
     /// Where the entry pixel's ray meets the measured surface (or the plane, in the paper's way).
     pub entry: Point3,
     /// The vein's points on the surface, as far as the surface was measured there.
@@ -147,6 +161,30 @@ impl Decision {
     pub fn abc(&self) -> [f64; 3] {
         let n = self.plane.normal;
         [-n.x / n.z, -n.y / n.z, -self.plane.d / n.z]
+    }
+
+    /// What makes the angle mean less than its figure says, a sentence each.
+    pub fn cautions(&self, radius_mm: f64, limits: &Limits) -> Vec<String> {
+        let mut said = Vec::new();
+        let curved = limits.curved * radius_mm;
+        if self.rms_mm > curved {
+            said.push(format!(
+                "the region is curved like a cylinder of {:.0} mm radius ({:.2} mm RMS off its plane, flat enough up to {curved:.2} mm): an entry 1 mm off meets the skin at up to {:.1}° another angle; choose a flatter entry or a smaller radius_mm",
+                self.bend_mm,
+                self.rms_mm,
+                (1.0 / self.bend_mm).to_degrees(),
+            ));
+        }
+        if let Some(inner) = self.inner_angle
+            && (inner - self.needle.angle).abs() > limits.turn
+        {
+            said.push(format!(
+                "the angle hangs on the region's radius: the same needle stands at {:.1}° to the plane of half the radius, at {:.1}° to this one; choose another entry, or give the radius that the needle's contact asks for",
+                inner.to_degrees(),
+                self.needle.angle.to_degrees(),
+            ));
+        }
+        said
     }
 }
 
@@ -281,12 +319,20 @@ pub fn decide(
             entry_limit_mm: limits.entry_sigma_mm,
         });
     }
+    let inner = surface.patch(&met, 0.5 * request.radius_mm, Interpolation::Cubic);
+    let inner_angle = PlaneFit::new(&inner.cells).map(|fit| {
+        let sine = fit.plane.normal.dot(&needle.axis).abs();
+        sine.min(1.0).asin()
+    });
     Ok(Decision {
         plane,
         points: region.len(),
         stripes,
         rms_mm,
         coverage: patch.coverage,
+        // z = x²/2ρ over a disc of radius r is r²/8ρ off its mean, root mean square.
+        bend_mm: request.radius_mm.powi(2) / (8.0 * area.rms_mm),
+        inner_angle,
         entry,
         vein,
         direction,
@@ -332,6 +378,12 @@ fn local_frame(
         .iter()
         .filter(|p| (p.position - start).norm() <= radius_mm)
         .collect();
+    if near.is_empty() {
+        let far = cloud.iter().map(|p| (p.position - start).norm());
+        return Err(NeedleError::OffSurface {
+            distance_mm: far.fold(f64::INFINITY, f64::min),
+        });
+    }
     let stripes = frames(&near);
     if near.len() < limits.points.min(12) || stripes < limits.stripes.min(3) {
         return Err(NeedleError::TooFewPoints {
@@ -381,4 +433,80 @@ fn reach(cloud: &[CloudPoint], request: &EntryRequest, start: &Point3) -> f64 {
         .map(|p| (p.position - start).norm())
         .fold(0.0, f64::max);
     farthest.clamp(request.radius_mm, 3.0 * request.radius_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::LightModel;
+
+    /// Points of z = z₀ + h(x) under a light plane that travels along y, every 1 mm; the vein runs
+    /// along x.
+    fn decision(h: impl Fn(f64) -> f64) -> Decision {
+        let mut rig = scene::rig();
+        rig.light = LightModel {
+            normal: Vector3::new(0.0, 0.8, 0.6),
+            ..rig.light
+        };
+        let pixel = |p: &Point3| rig.camera.project(p).unwrap();
+        let place = |x: f64, y: f64| Point3::new(x, y, 430.0 + h(x));
+        let cloud: Vec<CloudPoint> = (0..40)
+            .flat_map(|frame| (0..400).map(move |i| (frame, f64::from(i) * 0.1 - 20.0)))
+            .map(|(frame, x)| {
+                let position = place(x, f64::from(frame) - 20.0);
+                CloudPoint {
+                    position,
+                    pixel: pixel(&position),
+                    frame,
+                    intensity: 100.0,
+                    sigma_mm: 0.001,
+                    shift: Vector3::new(0.0, 0.01, 0.1),
+                    correlation: 1.0,
+                    quality: 1.0,
+                }
+            })
+            .collect();
+        let request = EntryRequest {
+            pixel: pixel(&place(0.0, 0.0)),
+            vein: [-6.0, -3.0, 0.0, 3.0, 6.0]
+                .map(|x| pixel(&place(x, 0.0)))
+                .to_vec(),
+            radius_mm: 12.0,
+        };
+        decide(&cloud, &rig, &request, &Settings::default()).unwrap()
+    }
+
+    #[test]
+    fn a_cylinder_is_known_by_its_radius_and_called_curved_where_it_is() {
+        let limits = Limits::default();
+        for (radius, said) in [(30.0, 1), (100.0, 0)] {
+            let d = decision(|x| radius - (radius * radius - x * x).sqrt());
+            // A ball cuts less out of a strong bend than a disc: a tenth.
+            assert!(
+                (d.bend_mm / radius - 1.0).abs() < 0.12,
+                "{} {radius}",
+                d.bend_mm
+            );
+            let words = d.cautions(12.0, &limits);
+            assert_eq!(words.len(), said, "{words:?}");
+            assert!(words.iter().all(|w| w.contains("curved like a cylinder")));
+            // It bends evenly to both sides.
+            assert!((d.inner_angle.unwrap() - d.needle.angle).abs() < 2e-3);
+        }
+    }
+
+    /// The plane through c·x³ over a disc of radius r has the slope c·r²/2: over half of it a
+    /// quarter.
+    #[test]
+    fn an_angle_that_hangs_on_the_radius_is_named() {
+        for (c, said) in [(5e-4, 1), (1e-4, 0)] {
+            let d = decision(|x| c * x.powi(3));
+            let turn = (0.5 * c * 144.0_f64).atan() - (0.5 * c * 36.0_f64).atan();
+            let found = (d.inner_angle.unwrap() - d.needle.angle).abs();
+            assert!((found / turn - 1.0).abs() < 0.06, "{found} {turn}");
+            let words = d.cautions(12.0, &Limits::default());
+            let named = words.iter().filter(|w| w.contains("hangs on the region"));
+            assert_eq!(named.count(), said, "{words:?}");
+        }
+    }
 }

@@ -2,8 +2,9 @@
 
 use super::{OutputError, three};
 use crate::calibration::{Covariance, LightModel, PARAMETERS, RigModel};
-use crate::geometry::{Camera, Distortion, Vector3};
+use crate::geometry::{Camera, Distortion, Pose, Vector3};
 use crate::pipeline::Calibrated;
+use crate::session::Session;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -48,6 +49,9 @@ pub struct Provenance {
     /// When, ISO 8601 in UTC.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<String>,
+    /// When its boards were recorded, where the recording says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<String>,
 }
 
 /// The camera's part.
@@ -98,6 +102,18 @@ pub struct ViewFile {
     pub rms_px: f64,
     /// Whether it took part.
     pub used: bool,
+    /// Tilt of the board about the image's horizontal and vertical axis, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tilt_deg: Option<[f64; 2]>,
+    /// Distance of the board's first corner from the camera, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_mm: Option<f64>,
+    /// The corners in the board's order: u, v of each, px.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub corners_px: Vec<f64>,
+    /// Observed minus reprojected, in the same order: du, dv of each, px.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub residuals_px: Vec<f64>,
 }
 
 /// The light planes' part.
@@ -196,11 +212,14 @@ pub struct OffsetRow {
     pub predicted_mm: f64,
     /// D fitted, mm.
     pub fitted_mm: f64,
+    /// |D predicted from the other positions − D fitted|, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hold_out_mm: Option<f64>,
 }
 
 impl CalibrationFile {
-    /// From a calibration; `session` is its recording's path as given.
-    pub fn new(calibrated: &Calibrated, session: &Path) -> Self {
+    /// From a calibration of this recording.
+    pub fn new(calibrated: &Calibrated, session: &Session) -> Self {
         let c = &calibrated.camera;
         let d = c.distortion;
         let zhang = &calibrated.zhang;
@@ -231,11 +250,7 @@ impl CalibrationFile {
                     .views
                     .iter()
                     .enumerate()
-                    .map(|(i, image)| ViewFile {
-                        image: image.clone(),
-                        rms_px: zhang.view_rms_px.get(i).copied().unwrap_or(f64::NAN),
-                        used: zhang.used.get(i).copied().unwrap_or(true),
-                    })
+                    .map(|(i, image)| ViewFile::new(calibrated, i, image))
                     .collect(),
             },
             light: calibrated.light.as_ref().map(LightFile::new),
@@ -253,8 +268,9 @@ impl CalibrationFile {
             warnings: calibrated.warnings.clone(),
             provenance: Some(Provenance {
                 program: concat!("cannula ", env!("CARGO_PKG_VERSION")).to_owned(),
-                session: session.display().to_string(),
+                session: session.folder().display().to_string(),
                 time: Some(super::seconds(jiff::Timestamp::now())),
+                recorded: session.manifest.recorded.board.clone(),
             }),
         }
     }
@@ -345,6 +361,16 @@ impl CalibrationFile {
                 return Err("light.planes has a plane that is not all numbers".to_owned());
             }
         }
+        let views = &self.camera.views;
+        if let Some(view) = views.iter().find(|v| {
+            let n = v.corners_px.len();
+            n % 2 != 0 || ![0, n].contains(&v.residuals_px.len())
+        }) {
+            return Err(format!(
+                "corners and residuals of {} do not pair",
+                view.image
+            ));
+        }
         if let Some(rows) = &self.covariance {
             let n = rows.len();
             let square = rows.iter().all(|r| r.len() == n);
@@ -359,6 +385,41 @@ impl CalibrationFile {
         }
         Ok(())
     }
+}
+
+impl ViewFile {
+    /// The view `i` of Zhang's calibration.
+    fn new(c: &Calibrated, i: usize, image: &str) -> Self {
+        // A thousandth of a pixel, and a ten-thousandth for what is left: the file stays small.
+        let round = |x: f64, unit: f64| (x * unit).round() / unit;
+        let zhang = &c.zhang;
+        let pose = zhang.poses.get(i);
+        let corners = c.corners.get(i).map_or(&[][..], Vec::as_slice);
+        let (mut corners_px, mut residuals_px) = (Vec::new(), Vec::new());
+        for (k, corner) in corners.iter().enumerate() {
+            let seen = corner.pixel;
+            corners_px.extend([round(seen.x, 1e3), round(seen.y, 1e3)]);
+            let drawn = pose.and_then(|p| zhang.camera.project(&p.apply(&c.board.point(k))));
+            let off = drawn.map_or([0.0; 2], |p| [seen.x - p.x, seen.y - p.y]);
+            residuals_px.extend(off.map(|x| round(x, 1e4)));
+        }
+        Self {
+            image: image.to_owned(),
+            rms_px: zhang.view_rms_px.get(i).copied().unwrap_or(0.0),
+            used: zhang.used.get(i).copied().unwrap_or(true),
+            tilt_deg: pose.map(|p| tilt(p).map(|t| round(t, 1e2))),
+            distance_mm: pose.map(|p| round(p.translation.norm(), 1e1)),
+            corners_px,
+            residuals_px,
+        }
+    }
+}
+
+/// Tilt of the board about the image's horizontal and vertical axis, degrees.
+fn tilt(pose: &Pose) -> [f64; 2] {
+    let n = pose.rotation * Vector3::z();
+    let n = if n.z < 0.0 { -n } else { n };
+    [(-n.y).atan2(n.z).to_degrees(), n.x.atan2(n.z).to_degrees()]
 }
 
 impl LightFile {
@@ -407,10 +468,12 @@ impl LightFile {
             table_4: light
                 .offsets
                 .iter()
-                .map(|o| OffsetRow {
+                .enumerate()
+                .map(|(i, o)| OffsetRow {
                     slide_mm: o.slide_mm,
                     predicted_mm: o.predicted_mm,
                     fitted_mm: o.fitted_mm,
+                    hold_out_mm: hold_out.get(i).copied(),
                 })
                 .collect(),
             figure_14: light

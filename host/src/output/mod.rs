@@ -5,11 +5,11 @@ mod calibration;
 mod result;
 mod trust;
 
-pub use calibration::{CalibrationFile, LightFile, read_calibration};
+pub use calibration::{CalibrationFile, LightFile, ViewFile, read_calibration};
 pub use result::{AngleSource, CalibrationSource, ResultFile, ScanProvenance};
 pub use trust::{
     Doubt, LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS, age,
-    age_words, doubts, loose_here, seconds,
+    age_at_scan, age_words, all_doubts, doubts, moment, seconds,
 };
 
 use std::io::{self, Write};
@@ -86,9 +86,41 @@ pub fn write_whole(
 /// Writes an object as JSON, whole or not at all.
 pub fn write_json(path: &Path, object: &impl serde::Serialize) -> Result<(), OutputError> {
     write_whole(path, |out| {
-        serde_json::to_writer_pretty(&mut *out, object)?;
+        let text = serde_json::to_string_pretty(object)?;
+        out.write_all(numbers_in_one_line(&text).as_bytes())?;
         out.write_all(b"\n")
     })
+}
+
+/// Indented JSON with every array of mere numbers in one line: readable, and half as long.
+fn numbers_in_one_line(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    let (mut rest, mut quoted) = (text, false);
+    while let Some(c) = rest.chars().next() {
+        let inside = rest.get(1..).unwrap_or_default();
+        if c == '[' && !quoted {
+            let mere = |c: char| c.is_ascii_digit() || "+-.eE, \n".contains(c);
+            let end = inside.find(|c: char| !mere(c)).unwrap_or(inside.len());
+            if end > 0 && inside[end..].starts_with(']') {
+                let numbers: Vec<&str> = inside[..end].split(',').map(str::trim).collect();
+                out.push('[');
+                out.push_str(&numbers.join(", "));
+                rest = &inside[end..];
+                continue;
+            }
+        }
+        // Within a string a backslash takes the next character with it.
+        let long = match c {
+            '\\' if quoted => 1 + inside.chars().next().map_or(0, char::len_utf8),
+            c => c.len_utf8(),
+        };
+        if c == '"' {
+            quoted = !quoted;
+        }
+        out.push_str(&rest[..long]);
+        rest = &rest[long..];
+    }
+    out
 }
 
 /// Three numbers of a vector.

@@ -78,3 +78,14 @@ fn a_file_stands_whole_or_not_at_all() {
     let said = write_whole(dir.path(), |_| Ok(())).unwrap_err().to_string();
     assert!(said.contains("folder"), "{said}");
 }
+
+#[test]
+fn numbers_stand_in_one_line_and_nothing_else_changes() {
+    let value = json!({ "m": [[1.5, -2e-9], [3, 4]], "text": "[1,\n 2] \"[3", "mixed": [1, null], "none": [] });
+    let text = super::numbers_in_one_line(&serde_json::to_string_pretty(&value).unwrap());
+    assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), value);
+    assert!(
+        text.contains("[1.5, -2e-9]") && text.contains("[3, 4]"),
+        "{text}"
+    );
+}

@@ -1,6 +1,7 @@
 //! Whether a calibration is still to be trusted: its age and how loose it is.
 
 use super::CalibrationFile;
+use crate::needle::Uncertainty;
 use jiff::{SignedDuration, Timestamp};
 
 /// A rig is knocked and warmed: a calibration that has not been looked at for longer is doubted.
@@ -22,6 +23,8 @@ pub struct Doubt {
     pub what: String,
     /// The remedy.
     pub remedy: &'static str,
+    /// The calibration has said so itself when it was made.
+    pub said: bool,
 }
 
 impl Doubt {
@@ -38,41 +41,78 @@ pub fn seconds(time: Timestamp) -> String {
         .to_string()
 }
 
-/// When the calibration was made, if it says so.
+/// When the calibration's boards were recorded, or when it was made, if it says so.
 pub fn age(file: &CalibrationFile) -> Option<Timestamp> {
-    file.provenance.as_ref()?.time.as_ref()?.parse().ok()
+    let p = file.provenance.as_ref()?;
+    p.recorded.as_ref().or(p.time.as_ref())?.parse().ok()
 }
 
-/// "made … (so long ago)".
+/// "so long ago", or how long before a scan.
+fn span(words: SignedDuration) -> String {
+    if words < SignedDuration::from_mins(1) {
+        "less than a minute".to_owned()
+    } else if words < SignedDuration::from_hours(1) {
+        format!("{} min", words.as_mins())
+    } else if words < SignedDuration::from_hours(48) {
+        format!("{} h", words.as_hours())
+    } else {
+        format!("{} days", words.as_hours() / 24)
+    }
+}
+
+/// A moment, to be read.
+pub fn moment(time: Timestamp) -> String {
+    seconds(time).replace('T', " ").replace('Z', " UTC")
+}
+
+/// "of … UTC, so long ago".
 pub fn age_words(then: Timestamp, now: Timestamp) -> String {
     let ago = now.duration_since(then);
-    let words = if ago < SignedDuration::ZERO {
-        "in the future".to_owned()
-    } else if ago < SignedDuration::from_hours(1) {
-        format!("{} min ago", ago.as_mins())
-    } else if ago < SignedDuration::from_hours(48) {
-        format!("{} h ago", ago.as_hours())
+    if ago < SignedDuration::ZERO {
+        format!("of {}, in the future", moment(then))
     } else {
-        format!("{} days ago", ago.as_hours() / 24)
-    };
-    format!("made {}, {words}", seconds(then))
+        format!("of {}, {} ago", moment(then), span(ago))
+    }
 }
 
-/// What speaks against it, whatever is measured with it.
-pub fn doubts(file: &CalibrationFile, now: Timestamp) -> Vec<Doubt> {
+/// The same, and how long before (or after) the scan where it is known when that was recorded.
+pub fn age_at_scan(then: Timestamp, scan: Option<Timestamp>, now: Timestamp) -> String {
+    let ago = age_words(then, now);
+    match scan.map(|scan| scan.duration_since(then)) {
+        Some(before) if before >= SignedDuration::ZERO => {
+            format!("{ago}, {} before the scan", span(before))
+        }
+        Some(after) => format!("{ago}, {} after the scan", span(-after)),
+        None => ago,
+    }
+}
+
+/// What speaks against it, whatever is measured with it. `scan` is when that was recorded, where it
+/// is known: the age that counts is the one then.
+pub fn doubts(file: &CalibrationFile, scan: Option<Timestamp>, now: Timestamp) -> Vec<Doubt> {
     let mut all = Vec::new();
-    let mut doubt = |what: String, remedy| all.push(Doubt { what, remedy });
+    let mut doubt = |what: String, remedy| {
+        all.push(Doubt {
+            what,
+            remedy,
+            said: false,
+        });
+    };
     if let Some(then) = age(file) {
-        let ago = now.duration_since(then);
-        if ago > SignedDuration::from_hours(24 * OLD_DAYS) {
+        let apart = scan.unwrap_or(now).duration_since(then);
+        if apart.abs() > SignedDuration::from_hours(24 * OLD_DAYS) {
+            let days = apart.abs().as_hours() / 24;
+            let what = match (scan, apart > SignedDuration::ZERO) {
+                (None, _) => format!("the calibration is {days} days old"),
+                (Some(_), true) => format!("the calibration was {days} days old at the scan"),
+                (Some(_), false) => format!("the calibration is of {days} days after the scan"),
+            };
             doubt(
-                format!(
-                    "the calibration is {} days old (more than {OLD_DAYS})",
-                    ago.as_hours() / 24
-                ),
+                format!("{what} (more than {OLD_DAYS})"),
                 "calibrate again, or check it with one board pose",
             );
-        } else if ago < SignedDuration::from_mins(-5) {
+        }
+        if now.duration_since(then) < SignedDuration::from_mins(-5) {
             doubt(
                 format!("the calibration is dated {}, in the future", seconds(then)),
                 "set this machine's clock",
@@ -98,24 +138,35 @@ pub fn doubts(file: &CalibrationFile, now: Timestamp) -> Vec<Doubt> {
             "check the slide for slip and calibrate again with more board poses",
         );
     }
-    for warning in &file.warnings {
-        doubt(
-            format!("the calibration said: {warning}"),
-            "calibrate again if that matters here",
-        );
-    }
+    all.extend(file.warnings.iter().map(|warning| Doubt {
+        what: format!("the calibration said: {warning}"),
+        remedy: "calibrate again if that matters here",
+        said: true,
+    }));
     all
+}
+
+/// All that speaks against a calibration: where a hand was measured with it, also what that says.
+pub fn all_doubts(
+    file: &CalibrationFile,
+    scan: Option<Timestamp>,
+    now: Timestamp,
+    measured: Option<&Uncertainty>,
+) -> Vec<Doubt> {
+    let here = measured.and_then(|u| loose_here(u.entry_parts_mm[0], u.angle_parts[0]));
+    here.into_iter().chain(doubts(file, scan, now)).collect()
 }
 
 /// Whether the calibration alone makes this result uncertain: its parts of the standard deviations
 /// of entry (mm) and needle axis (rad).
-pub fn loose_here(entry_mm: f64, axis: f64) -> Option<Doubt> {
+fn loose_here(entry_mm: f64, axis: f64) -> Option<Doubt> {
     let axis_deg = axis.to_degrees();
     (entry_mm > LOOSE_ENTRY_MM || axis_deg > LOOSE_AXIS_DEG).then(|| Doubt {
         what: format!(
             "the calibration is too loose: it alone leaves the entry to ±{entry_mm:.2} mm and the angle to ±{axis_deg:.2}° (more than {LOOSE_ENTRY_MM} mm or {LOOSE_AXIS_DEG}°)"
         ),
         remedy: "calibrate with more board poses, tilted more, nearer and farther",
+        said: false,
     })
 }
 
@@ -137,15 +188,36 @@ mod tests {
     #[test]
     fn an_old_one_a_future_one_and_a_fresh_one() {
         let (file, now) = dated(3);
-        assert_eq!(doubts(&file, now), []);
+        assert_eq!(doubts(&file, None, now), []);
         assert!(age_words(age(&file).unwrap(), now).ends_with("3 days ago"));
         let (file, now) = dated(45);
-        assert!(doubts(&file, now)[0].what.contains("45 days old"));
+        assert!(doubts(&file, None, now)[0].what.contains("45 days old"));
+        // It counts what it was at the scan.
+        let scan = now - SignedDuration::from_hours(24 * 40);
+        assert_eq!(doubts(&file, Some(scan), now), []);
+        let words = age_at_scan(age(&file).unwrap(), Some(scan), now);
+        assert!(
+            words.ends_with("45 days ago, 5 days before the scan"),
+            "{words}"
+        );
+        let early = now - SignedDuration::from_hours(24 * 90);
+        assert!(
+            doubts(&file, Some(early), now)[0]
+                .what
+                .contains("45 days after the scan")
+        );
+        let (fresh, now) = dated(0);
+        let late = now + SignedDuration::from_hours(24 * 31);
+        assert!(
+            doubts(&fresh, Some(late), late)[0]
+                .what
+                .contains("was 31 days old at the scan")
+        );
         let (file, now) = dated(-2);
-        assert!(doubts(&file, now)[0].what.contains("in the future"));
+        assert!(doubts(&file, None, now)[0].what.contains("in the future"));
         // The contract's own file has no date: nothing is invented.
         let bare = read(&contract()).unwrap();
-        assert_eq!((age(&bare), doubts(&bare, now)), (None, Vec::new()));
+        assert_eq!((age(&bare), doubts(&bare, None, now)), (None, Vec::new()));
     }
 
     #[test]
@@ -153,7 +225,10 @@ mod tests {
         let (mut file, now) = dated(0);
         file.camera.rms_px = 0.8;
         file.light.as_mut().unwrap().hold_out_error_mm = Some(0.25);
-        let said: Vec<String> = doubts(&file, now).iter().map(Doubt::sentence).collect();
+        let said: Vec<String> = doubts(&file, None, now)
+            .iter()
+            .map(Doubt::sentence)
+            .collect();
         assert_eq!(said.len(), 2);
         assert!(
             said[0].contains("0.80 px") && said[1].contains("0.25 mm"),

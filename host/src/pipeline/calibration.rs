@@ -164,7 +164,7 @@ fn run<P: Pixel>(
                 manifest.image.height,
             )
         })
-        .map_err(|e| camera_error(session, e, &names))?;
+        .map_err(|e| camera_error(session, e, method, board, (&names, &corners)))?;
     warnings.extend(sentences(&zhang.findings, &names));
     for warning in &warnings {
         progress.warn(warning);
@@ -182,9 +182,11 @@ fn run<P: Pixel>(
     };
     if !manifest.light.is_empty() {
         let told = calibrated.warnings.len();
-        times.time(Stage::Light, || {
-            light_planes(session, &swept, of_camera, &settings, &mut calibrated)
-        })?;
+        times
+            .time(Stage::Light, || {
+                light_planes(session, &swept, of_camera, &settings, &mut calibrated)
+            })
+            .map_err(|e| with_found(e, &calibrated))?;
         for warning in &calibrated.warnings[told..] {
             progress.warn(warning);
         }
@@ -233,18 +235,50 @@ fn camera_views(
     Ok((names, corners, of_camera))
 }
 
-fn camera_error(session: &Session, e: CameraError, names: &[String]) -> PipelineError {
+/// The same error with what stood when it came.
+fn with_found(mut e: PipelineError, calibrated: &Calibrated) -> PipelineError {
+    match &mut e {
+        PipelineError::Light { found, .. } | PipelineError::NoStripe { found, .. } => {
+            *found = Some(Box::new(calibrated.clone()));
+        }
+        _ => {}
+    }
+    e
+}
+
+fn camera_error(
+    session: &Session,
+    e: CameraError,
+    method: Method,
+    board: BoardGeometry,
+    (names, corners): (&[String], &[Vec<Corner>]),
+) -> PipelineError {
     let name = |view: &usize| names.get(*view).map_or("a view", String::as_str);
     let reason = match &e {
-        CameraError::Refused(findings) => refusals(findings, names),
+        CameraError::Refused(findings, _) => refusals(findings, names),
         CameraError::WrongCornerCount { view, .. } | CameraError::BadCorner { view } => {
             format!("{}: {e}", name(view))
         }
         _ => e.to_string(),
     };
+    let found = match e {
+        CameraError::Refused(_, zhang) => Some(Box::new(Calibrated {
+            method,
+            board,
+            camera: zhang.camera,
+            covariance: camera_covariance(&zhang),
+            views: names.to_vec(),
+            corners: corners.to_vec(),
+            light: None,
+            warnings: sentences(&zhang.findings, names),
+            zhang: *zhang,
+        })),
+        _ => None,
+    };
     PipelineError::Camera {
         path: session.file().to_owned(),
         reason,
+        found,
     }
 }
 
@@ -252,8 +286,13 @@ fn sentence(finding: &Finding, names: &[String]) -> String {
     finding.sentence(finding.view.and_then(|v| names.get(v)).map(String::as_str))
 }
 
+/// What warns; what refuses is the error itself.
 fn sentences(findings: &[Finding], names: &[String]) -> Vec<String> {
-    findings.iter().map(|f| sentence(f, names)).collect()
+    findings
+        .iter()
+        .filter(|f| f.severity == Severity::Warn)
+        .map(|f| sentence(f, names))
+        .collect()
 }
 
 fn refusals(findings: &[Finding], names: &[String]) -> String {
@@ -291,6 +330,7 @@ fn light_planes(
     let fail = |reason: String| PipelineError::Light {
         path: session.file().to_owned(),
         reason,
+        found: None,
     };
     let light = match calibrated.method {
         Method::Ml => {
@@ -303,28 +343,28 @@ fn light_planes(
                 &views,
                 &calibrated.board,
                 options,
-            )
-            .map_err(|e| fail(light_error(&e, &names)))?;
+            );
+            let (found, refused) = match found {
+                Ok(found) => (found, None),
+                Err(e) => {
+                    let refused = fail(light_error(&e, &names));
+                    let LightError::Refused(_, found) = e else {
+                        return Err(refused);
+                    };
+                    (*found, Some(refused))
+                }
+            };
             calibrated
                 .warnings
                 .extend(sentences(&found.findings, &names));
             calibrated.camera = found.camera;
             calibrated.covariance = found.covariance;
-            let positions: Vec<f64> = found.planes.iter().map(|p| p.slide_mm).collect();
-            Light {
-                model: found.model,
-                travels: found.travels,
-                planes: found.planes,
-                spacings: found.spacings,
-                spacing_error_mm: found.spacing_error_mm,
-                offsets: found.offsets,
-                offset_error_mm: found.offset_error_mm,
-                hold_out_mm: found.hold_out_mm,
-                table_1: named(names, found.view_measures),
-                figure_14: named(positions, found.position_measures),
-                poses: found.poses,
-                stripe_rms_px: Some(found.stripe_rms_px),
+            let light = of_joint(names, found);
+            if let Some(refused) = refused {
+                calibrated.light = Some(light);
+                return Err(refused);
             }
+            light
         }
         Method::Paper => {
             let poses = calibrated.zhang.poses[of_camera..].to_vec();
@@ -356,12 +396,32 @@ fn light_planes(
             }
         }
     };
-    if calibrated.method == Method::Paper {
-        // The joint solve has a gate of its own.
-        travel_fits(session, &light).map_err(fail)?;
-    }
+    // The joint solve has a gate of its own.
+    let fits = match calibrated.method {
+        Method::Ml => Ok(()),
+        Method::Paper => travel_fits(session, &light).map_err(fail),
+    };
     calibrated.light = Some(light);
-    Ok(())
+    fits
+}
+
+/// The joint solve's, as the report and the file want it.
+fn of_joint(names: Vec<String>, found: light::LightCalibration) -> Light {
+    let positions: Vec<f64> = found.planes.iter().map(|p| p.slide_mm).collect();
+    Light {
+        model: found.model,
+        travels: found.travels,
+        planes: found.planes,
+        spacings: found.spacings,
+        spacing_error_mm: found.spacing_error_mm,
+        offsets: found.offsets,
+        offset_error_mm: found.offset_error_mm,
+        hold_out_mm: found.hold_out_mm,
+        table_1: named(names, found.view_measures),
+        figure_14: named(positions, found.position_measures),
+        poses: found.poses,
+        stripe_rms_px: Some(found.stripe_rms_px),
+    }
 }
 
 fn named<N>(names: Vec<N>, pairs: Vec<(Measures, Measures)>) -> Vec<(N, Measures, Measures)> {
@@ -418,6 +478,7 @@ fn stripes_found(
             reason: (*reason).clone(),
             failed: failed.len(),
             of,
+            found: None,
         });
     }
     calibrated.warnings.extend(
@@ -431,7 +492,7 @@ fn stripes_found(
 fn light_error(e: &LightError, names: &[String]) -> String {
     let name = |view: &usize| names.get(*view).map_or("a light view", String::as_str);
     match e {
-        LightError::Refused(findings) => refusals(findings, names),
+        LightError::Refused(findings, _) => refusals(findings, names),
         LightError::BadCorners { view, .. } | LightError::BadPosition { view } => {
             format!("{}: {e}", name(view))
         }

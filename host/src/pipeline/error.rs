@@ -1,5 +1,7 @@
 //! What a stage says, with the file that it is about.
 
+use super::calibration::Calibrated;
+use super::reconstruction::Scanned;
 use crate::needle::NeedleError;
 use crate::session::SessionError;
 use crate::stripe::StripeError;
@@ -30,6 +32,8 @@ pub enum PipelineError {
         path: PathBuf,
         /// What is lacking.
         reason: String,
+        /// What was found all the same, for the report that says why.
+        found: Option<Box<Calibrated>>,
     },
     /// The light planes can't be calibrated.
     #[error("{path}: the light planes can't be calibrated: {reason}", path = path.display())]
@@ -38,6 +42,8 @@ pub enum PipelineError {
         path: PathBuf,
         /// What is lacking.
         reason: String,
+        /// What was found all the same, for the report that says why.
+        found: Option<Box<Calibrated>>,
     },
     /// An image shows the stripe where it should not, or not where it should.
     #[error("{path}: {source}", path = path.display())]
@@ -74,6 +80,8 @@ pub enum PipelineError {
         failed: usize,
         /// Images looked at.
         of: usize,
+        /// The camera, for the report that says why.
+        found: Option<Box<Calibrated>>,
     },
     /// Calibration and scan do not belong together.
     #[error("{path}: {what}; {remedy}", path = path.display())]
@@ -92,5 +100,19 @@ pub enum PipelineError {
         path: PathBuf,
         /// Why not.
         source: NeedleError,
+        /// What was scanned, for the report that shows why.
+        scanned: Box<Scanned>,
     },
+}
+
+impl PipelineError {
+    /// What there is of a calibration that was refused.
+    pub fn calibrated(&self) -> Option<&Calibrated> {
+        match self {
+            Self::Camera { found, .. }
+            | Self::Light { found, .. }
+            | Self::NoStripe { found, .. } => found.as_deref(),
+            _ => None,
+        }
+    }
 }

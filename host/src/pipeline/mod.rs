@@ -13,7 +13,7 @@ mod views;
 
 pub use calibration::{Calibrated, Light, calibrate};
 pub use error::PipelineError;
-pub use reconstruction::{FrameResult, Measurement, Reconstruction, measure};
+pub use reconstruction::{FrameResult, Measurement, Reconstruction, Scanned, measure};
 pub(crate) use reconstruction::{belong_together, exposed};
 pub use times::{Stage, Times};
 

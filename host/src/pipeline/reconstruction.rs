@@ -209,6 +209,40 @@ impl<P: Pixel> Reconstruction<P> {
         }
         needle::decide(cloud, &self.rig, request, &settings)
     }
+
+    /// The measurement, once all frames are in. `file` is what an error names, `warnings` what is
+    /// weak so far.
+    ///
+    /// # Errors
+    /// [`PipelineError::Needle`]: why no angle is given, with what was scanned.
+    pub fn finish(
+        self,
+        file: &Path,
+        request: EntryRequest,
+        settings: &needle::Settings,
+        warnings: Vec<String>,
+        times: &Times,
+    ) -> Result<Measurement, PipelineError> {
+        match times.time(Stage::Needle, || self.decide(&request, settings)) {
+            Ok(decision) => Ok(Measurement {
+                cloud: self.cloud,
+                background: self.background,
+                counts: self.counts,
+                request,
+                decision,
+                warnings,
+            }),
+            Err(source) => Err(PipelineError::Needle {
+                path: file.to_owned(),
+                source,
+                scanned: Box::new(Scanned {
+                    cloud: self.cloud,
+                    request,
+                    warnings,
+                }),
+            }),
+        }
+    }
 }
 
 /// A measured hand and what is to be done on it.
@@ -224,6 +258,17 @@ pub struct Measurement {
     pub request: EntryRequest,
     /// The needle.
     pub decision: Decision,
+    /// What is weak, a sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// A scanned hand for which no needle angle is given.
+#[derive(Clone, Debug)]
+pub struct Scanned {
+    /// Points on the hand.
+    pub cloud: Vec<CloudPoint>,
+    /// The request, from session.json.
+    pub request: EntryRequest,
     /// What is weak, a sentence each.
     pub warnings: Vec<String>,
 }
@@ -313,20 +358,7 @@ fn run<P: Pixel>(
     progress.finish();
     results?.into_iter().for_each(|result| whole.add(result));
     let request = EntryRequest::from(entry);
-    let decision = times
-        .time(Stage::Needle, || whole.decide(&request, settings))
-        .map_err(|source| PipelineError::Needle {
-            path: session.file().to_owned(),
-            source,
-        })?;
-    Ok(Measurement {
-        cloud: whole.cloud,
-        background: whole.background,
-        counts: whole.counts,
-        request,
-        decision,
-        warnings,
-    })
+    whole.finish(session.file(), request, settings, warnings, times)
 }
 
 /// Refuses an image of one grey throughout, and one of which more than a third is saturated: no

@@ -160,16 +160,22 @@ impl Crossing {
         }
     }
 
-    /// What T, S, E, B and (p + qΓ) multiply when the tip has come to `s`.
-    pub(super) fn basis(&self, fit: &LayerFit, s: f64) -> [f64; 5] {
+    /// Paths at which the layer is first felt and at which the tip is through, mm.
+    fn passage(&self, fit: &LayerFit) -> (f64, f64) {
         let contact = self.from + fit.sink_mm / self.sine;
-        if s <= contact {
-            return [0.0; 5];
-        }
         let [k, usual] = fit.dimple_per_toughness;
         let dimple = fit.dimple_mm[0] + fit.dimple_mm[1] / self.sine;
         let dimple = dimple + k * (self.toughness - usual);
         let through = (self.from + self.long + dimple).max(contact + 0.1 * self.long);
+        (contact, through)
+    }
+
+    /// What T, S, E, B and (p + qΓ) multiply when the tip has come to `s`.
+    pub(super) fn basis(&self, fit: &LayerFit, s: f64) -> [f64; 5] {
+        let (contact, through) = self.passage(fit);
+        if s <= contact {
+            return [0.0; 5];
+        }
         let faded = step(s, through - 0.3 * self.fade, self.fade);
         let tip = ((s - contact) / (fit.rise * (through - contact))).min(1.0) * (1.0 - faded);
         // How far the tip is past the layer's top and bottom as they lie now.
@@ -238,6 +244,12 @@ impl Calibration {
             out.layer_n[k] = fit.force(&layers[k], s);
         }
         out
+    }
+
+    /// For skin, fat and vein: the paths at which the layer is first felt and at which the tip is
+    /// through, mm.
+    pub fn passages(&self, setup: &Setup, angle: f64) -> [(f64, f64); 3] {
+        [0, 1, 2].map(|k| Crossing::new(setup, angle, k).passage(&self.layers[k]))
     }
 
     /// Path from the skin to where the runs end, mm: the tip on the lumen's axis.

@@ -10,10 +10,10 @@ mod raster;
 mod sources;
 mod write;
 
-pub use model::{Report, TruthRow};
+pub use model::{Puncture, Report, TruthRow};
 pub use sources::{
-    calibration as calibration_section, decided, leaves, puncture_folder, punctured, settings,
-    stripe_sample,
+    calibration as calibration_section, calibration_settings, decided, leaves, puncture_folder,
+    punctured, settings, stripe_sample, with_reference,
 };
 pub use write::{Outcome, ReportError, Sources, assemble, of_puncture, write};
 

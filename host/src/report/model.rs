@@ -6,8 +6,10 @@
 /// Everything on the page.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// What was processed, e.g. the session's folder name.
+    /// What it is about: "Needle insertion: hand scan of …, session …".
     pub title: String,
+    /// In the angle's place where there is none; empty for nothing.
+    pub headline: String,
     /// Whether the result may be used.
     pub verdict: Option<Verdict>,
     /// The needle.
@@ -71,6 +73,10 @@ pub struct Needle {
     pub region_points: usize,
     /// Their root mean square distance from the plane, mm.
     pub region_rms_mm: f64,
+    /// Radius of the cylinder that is as far from its plane, mm.
+    pub bend_mm: f64,
+    /// The same needle's angle to the plane of half the radius, degrees.
+    pub inner_angle_deg: Option<f64>,
     /// Radius of the region, mm.
     pub radius_mm: f64,
     /// The camera's frame, and the robot's where given.
@@ -101,6 +107,8 @@ pub struct Picture {
     pub region: Vec<[f64; 2]>,
     /// The needle's axis outside the hand, from its far end to the entry.
     pub needle: Vec<[f64; 2]>,
+    /// Measured points; drawn where no angle is given, to show where the surface was seen.
+    pub points: Vec<[f64; 2]>,
 }
 
 /// The turnable view, camera frame.
@@ -120,10 +128,12 @@ pub struct Scene {
     pub vein: Vec<[f64; 3]>,
     /// The needle: far end, entry, tip; and its radius.
     pub needle: Option<SceneNeedle>,
-    /// What the first view looks at.
+    /// Outline of the region that is asked for.
+    pub region: Vec<[f64; 3]>,
+    /// Where the camera looks through the entry pixel, where no entry was found.
+    pub sight: Option<[[f64; 3]; 2]>,
+    /// What the first view looks at and turns about.
     pub focus: [f64; 3],
-    /// Half the size of what it shows, mm.
-    pub reach_mm: f64,
     /// Direction from the focus to the eye in the first view.
     pub view: [f64; 3],
     /// What is up in it: away from the skin.
@@ -159,7 +169,11 @@ pub struct BoardView {
     /// Outline of the corner grid.
     pub outline: Vec<[f64; 2]>,
     /// Tilt about the image's horizontal and vertical axis, degrees.
-    pub tilt_deg: [f64; 2],
+    pub tilt_deg: Option<[f64; 2]>,
+    /// Distance from the camera, mm.
+    pub distance_mm: Option<f64>,
+    /// Whether it took part.
+    pub used: bool,
 }
 
 /// A slide position.
@@ -221,7 +235,7 @@ pub struct Calibration {
     pub findings: Vec<String>,
     /// "ml" or "paper".
     pub method: String,
-    /// When, if it was not made in the same run: "made …, … ago".
+    /// When: "of …, … ago, … before the scan".
     pub made: Option<String>,
 }
 
@@ -240,9 +254,31 @@ pub struct StripeSample {
     pub centres: Vec<[f64; 4]>,
 }
 
-/// One simulated puncture.
+/// Where a curve comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Model {
+    /// The reference: finite elements that a needle cuts.
+    #[default]
+    Reference,
+    /// The closed form fitted to it.
+    Fast,
+}
+
+impl Model {
+    /// In a chart's title.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Reference => "reference simulation",
+            Self::Fast => "fast model",
+        }
+    }
+}
+
+/// The force on a needle at one angle.
 #[derive(Clone, Debug, Default)]
 pub struct PunctureRun {
+    /// What computed it.
+    pub model: Model,
     /// Angle, degrees.
     pub angle_deg: f64,
     /// Time, s; force on the needle: whole, skin, fat, vein, N.
@@ -263,7 +299,7 @@ pub struct Table {
 /// Force curves and the decision.
 #[derive(Clone, Debug, Default)]
 pub struct Puncture {
-    /// The runs of the reference solver; may be empty.
+    /// A run for each angle.
     pub runs: Vec<PunctureRun>,
     /// Fast model: angle, degrees; peak force, lower and upper bound, N.
     pub force_over_angle: Vec<[f64; 4]>,
@@ -273,6 +309,8 @@ pub struct Puncture {
     pub criterion: String,
     /// The plain sentences.
     pub sentences: Vec<String>,
+    /// What the curves are, in a sentence.
+    pub curves: String,
     /// A row per angle, for and against.
     pub decision: Table,
     /// Sensitivity to friction and toughness.
@@ -299,7 +337,7 @@ pub struct Provenance {
     pub program: String,
     /// Command line.
     pub command: String,
-    /// When, ISO 8601, UTC.
+    /// When, to be read.
     pub time: String,
     /// Session's path as given.
     pub session: String,

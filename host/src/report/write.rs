@@ -2,8 +2,8 @@
 
 use super::model::{Puncture, Report, TruthRow, Verdict};
 use super::sources;
-use crate::output::{CalibrationFile, OutputError, write_whole};
-use crate::pipeline::{Calibrated, Measurement, Times};
+use crate::output::{CalibrationFile, Doubt, OutputError, all_doubts, moment, write_whole};
+use crate::pipeline::{Measurement, Scanned, Times};
 use crate::session::{Session, SessionError};
 use std::path::Path;
 
@@ -23,8 +23,27 @@ pub enum ReportError {
 pub enum Outcome<'a> {
     /// The measured hand.
     Measured(&'a Measurement),
-    /// No angle is given, and why.
-    Refused(Vec<String>),
+    /// No angle is given: why, and what was scanned all the same.
+    Refused(Vec<String>, Option<&'a Scanned>),
+    /// No hand was to be measured: the calibration alone, and why it is refused if it is.
+    Calibrated(Vec<String>),
+}
+
+impl Outcome<'_> {
+    pub(super) fn measured(&self) -> Option<&Measurement> {
+        match self {
+            Self::Measured(m) => Some(m),
+            _ => None,
+        }
+    }
+
+    /// What was scanned where no angle is given.
+    pub(super) fn scanned(&self) -> Option<&Scanned> {
+        match self {
+            Self::Refused(_, scanned) => *scanned,
+            _ => None,
+        }
+    }
 }
 
 /// What a report is made of. `cannula process`, `angle`, `demo` and `scan` fill it alike.
@@ -32,8 +51,6 @@ pub enum Outcome<'a> {
 pub struct Sources<'a> {
     /// The recording.
     pub session: &'a Session,
-    /// Its calibration with all residuals, if it was made in the same run.
-    pub calibrated: Option<&'a Calibrated>,
     /// The calibration's file, whose camera measured.
     pub calibration: &'a CalibrationFile,
     /// The measured hand, or why there is none.
@@ -55,46 +72,85 @@ pub struct Sources<'a> {
 /// # Errors
 /// An image that can't be read.
 pub fn assemble(s: Sources) -> Result<Report, ReportError> {
-    let folder = s.session.file().parent().unwrap_or(Path::new("."));
-    let title = folder
-        .canonicalize()
-        .ok()
-        .and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
-        .unwrap_or_else(|| folder.display().to_string());
+    let folder = s.session.folder();
     let robot = s.session.manifest.robot_from_camera.as_ref();
-    let measured = match &s.outcome {
-        Outcome::Measured(m) => Some(*m),
-        Outcome::Refused(_) => None,
-    };
+    let camera = s.calibration.camera();
+    let measured = s.outcome.measured();
+    let scan = s.session.manifest.recorded.scan();
+    let weak: Vec<String> = all_doubts(
+        s.calibration,
+        scan,
+        jiff::Timestamp::now(),
+        measured.map(|m| &m.decision.uncertainty),
+    )
+    .iter()
+    .map(Doubt::sentence)
+    .collect();
     let verdict = match &s.outcome {
-        Outcome::Measured(m) => sources::verdict(m),
-        Outcome::Refused(reasons) => Verdict {
+        Outcome::Measured(m) => Some(sources::verdict(m)),
+        Outcome::Refused(reasons, scanned) => Some(Verdict {
             usable: false,
             reasons: reasons.clone(),
-            warnings: s.calibration.warnings.clone(),
-        },
+            warnings: scanned
+                .iter()
+                .flat_map(|s| s.warnings.iter())
+                .chain(&weak)
+                .cloned()
+                .collect(),
+        }),
+        Outcome::Calibrated(refused) => Some(Verdict {
+            usable: refused.is_empty(),
+            reasons: refused.clone(),
+            warnings: weak.clone(),
+        }),
+    };
+    let alone = matches!(s.outcome, Outcome::Calibrated(_));
+    let headline = match &s.outcome {
+        Outcome::Refused(..) => "No angle",
+        Outcome::Calibrated(refused) if !refused.is_empty() => "No calibration",
+        _ => "",
     };
     Ok(Report {
-        title,
-        verdict: Some(verdict),
+        title: title(&s),
+        headline: headline.to_owned(),
+        verdict,
         needle: measured.map(|m| sources::needle(m, s.angle_source, robot)),
-        picture: sources::picture(s.session, measured, &s.calibration.camera())?,
-        scene: measured.map(sources::scene),
-        calibration: Some(match s.calibrated {
-            Some(c) => sources::calibration(c),
-            None => sources::of_file(s.calibration),
+        picture: match alone {
+            true => None,
+            false => sources::picture(s.session, &s.outcome, &camera)?,
+        },
+        scene: measured.map(sources::scene).or_else(|| {
+            let scanned = s.outcome.scanned()?;
+            sources::scene_refused(scanned, &camera)
         }),
-        stripes: sources::stripes(s.session, measured)?,
+        calibration: Some(sources::calibration(s.calibration, weak, scan)),
+        stripes: match alone {
+            true => Vec::new(),
+            false => sources::stripes(s.session, measured)?,
+        },
         puncture: s.puncture,
         truth: s.truth,
         provenance: sources::provenance(&folder.display().to_string(), s.settings, s.times),
     })
 }
 
+/// What the report is about: which hand, when, where recorded.
+fn title(s: &Sources) -> String {
+    let recorded = &s.session.manifest.recorded;
+    let (what, time) = match s.outcome {
+        Outcome::Calibrated(_) => ("Calibration: board views", recorded.board.as_ref()),
+        _ => ("Needle insertion: hand scan", recorded.scan.as_ref()),
+    };
+    let date = time
+        .and_then(|t| t.parse().ok())
+        .map_or(String::new(), |t| format!(" of {}", moment(t)));
+    format!("{what}{date}, session {}", s.session.name())
+}
+
 /// The report of `cannula puncture`.
 pub fn of_puncture(section: Puncture, settings: Vec<(String, String)>) -> Report {
     Report {
-        title: "puncture".to_owned(),
+        title: "Puncture: force on the needle at each angle".to_owned(),
         puncture: Some(section),
         provenance: sources::provenance("", settings, &Times::default()),
         ..Report::default()

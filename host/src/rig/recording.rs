@@ -41,6 +41,11 @@ pub enum RecordingError {
     Thread(std::io::Error),
 }
 
+/// For session.json.
+fn now() -> String {
+    crate::output::seconds(jiff::Timestamp::now())
+}
+
 /// A recording in the making.
 pub struct Recording {
     folder: PathBuf,
@@ -134,6 +139,7 @@ impl Recording {
             self.manifest.camera.len(),
         );
         self.write(&image, picture)?;
+        self.manifest.recorded.board = Some(now());
         self.manifest.camera.push(CameraView {
             image: image.clone(),
         });
@@ -163,6 +169,7 @@ impl Recording {
         mut on: Vec<Frame>,
     ) -> Result<(), RecordingError> {
         on.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
+        self.manifest.recorded.board = Some(now());
         self.manifest.light.push(LightPose { off, on });
         self.save()?;
         Ok(())
@@ -197,6 +204,7 @@ impl Recording {
         mut frames: Vec<Frame>,
     ) -> Result<(), RecordingError> {
         frames.sort_by(|a, b| a.slide_mm.total_cmp(&b.slide_mm));
+        self.manifest.recorded.scan = Some(now());
         self.manifest.scan = Some(Scan { ambient, frames });
         self.save()?;
         Ok(())

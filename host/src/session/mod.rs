@@ -94,6 +94,26 @@ impl Session {
         &self.file
     }
 
+    /// For a reader: the folder's name, or the one above where it is called "session".
+    pub fn name(&self) -> String {
+        let folder = self.folder();
+        let whole = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+        let named = |p: &Path| Some(p.file_name()?.to_string_lossy().into_owned());
+        let name = match named(&whole) {
+            Some(own) if own == "session" => whole.parent().and_then(named).or(Some(own)),
+            own => own,
+        };
+        name.unwrap_or_else(|| folder.display().to_string())
+    }
+
+    /// The folder that session.json lies in.
+    pub fn folder(&self) -> &Path {
+        match self.file.parent() {
+            Some(p) if !p.as_os_str().is_empty() => p,
+            _ => Path::new("."),
+        }
+    }
+
     /// Where an image that session.json names is.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)

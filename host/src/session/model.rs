@@ -34,6 +34,31 @@ pub struct Manifest {
     /// 4 × 4, row by row, mm: camera frame to robot frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot_from_camera: Option<[[f64; 4]; 4]>,
+    /// When its parts were recorded.
+    #[serde(default, skip_serializing_if = "Recorded::is_empty")]
+    pub recorded: Recorded,
+}
+
+/// When a session's parts were recorded, ISO 8601 in UTC.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Recorded {
+    /// The latest board pose, with or without laser.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<String>,
+    /// The scan of the hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan: Option<String>,
+}
+
+impl Recorded {
+    /// When the scan was recorded.
+    pub fn scan(&self) -> Option<jiff::Timestamp> {
+        self.scan.as_ref()?.parse().ok()
+    }
+
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// Size of every image of a session.
@@ -146,6 +171,7 @@ impl Manifest {
             entry: None,
             laser: None,
             robot_from_camera: None,
+            recorded: Recorded::default(),
         }
     }
 

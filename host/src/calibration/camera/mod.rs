@@ -41,7 +41,7 @@ pub struct CameraCalibration {
     pub rms_px: f64,
     /// Variance of the residuals in units of the corners' own covariances (a posteriori).
     pub variance_factor: f64,
-    /// What the gate has to say; nothing of [`Severity::Refuse`].
+    /// What the gate has to say; nothing of [`Severity::Refuse`] in what is given as good.
     pub findings: Vec<Finding>,
 }
 
@@ -98,6 +98,8 @@ pub enum CameraError {
     Refused(
         /// All findings, warnings included.
         Vec<Finding>,
+        /// What was found all the same, to be looked at and not to be used.
+        Box<CameraCalibration>,
     ),
 }
 
@@ -358,19 +360,25 @@ fn finish(
         view_rms_px: &view_rms_px,
         rms_px: solved.rms_px,
     });
-    if findings.iter().any(|f| f.severity == Severity::Refuse) {
-        return Err(CameraError::Refused(findings));
-    }
-    Ok(CameraCalibration {
+    let refused = findings.iter().any(|f| f.severity == Severity::Refuse);
+    let found = CameraCalibration {
         camera,
-        covariance: solved.covariance.ok_or(CameraError::NoSolution)?,
+        covariance: solved.covariance.unwrap_or_default(),
         poses,
         used,
         view_rms_px,
         rms_px: solved.rms_px,
         variance_factor: solved.variance_factor,
         findings,
-    })
+    };
+    match solved.covariance {
+        _ if refused => Err(CameraError::Refused(
+            found.findings.clone(),
+            Box::new(found),
+        )),
+        Some(_) => Ok(found),
+        None => Err(CameraError::NoSolution),
+    }
 }
 
 fn residuals(views: &[&CornerView], camera: &Camera, poses: &[Pose], scale: f64) -> Residuals {

@@ -17,7 +17,7 @@ fn solve_views(views: &[Vec<Corner>]) -> Result<CameraCalibration, CameraError> 
 
 fn refused_for(result: Result<CameraCalibration, CameraError>) -> Vec<Cause> {
     match result {
-        Err(CameraError::Refused(findings)) => findings
+        Err(CameraError::Refused(findings, _)) => findings
             .iter()
             .filter(|f| f.severity == Severity::Refuse)
             .map(|f| f.cause)

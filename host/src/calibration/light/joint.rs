@@ -369,10 +369,8 @@ pub fn calibrate(
         board,
         options,
     });
-    if findings.iter().any(|f| f.severity == Severity::Refuse) {
-        return Err(LightError::Refused(findings));
-    }
-    Ok(LightCalibration {
+    let refused = findings.iter().any(|f| f.severity == Severity::Refuse);
+    let found = LightCalibration {
         model: rig.light,
         travels,
         camera: rig.camera,
@@ -395,7 +393,11 @@ pub fn calibrate(
         },
         poses: poses.split_off(own),
         findings,
-    })
+    };
+    if refused {
+        return Err(LightError::Refused(found.findings.clone(), Box::new(found)));
+    }
+    Ok(found)
 }
 
 /// The slide's positions, ascending, and which of them each stripe of each view belongs to.

@@ -178,5 +178,7 @@ pub enum LightError {
     Refused(
         /// All findings, warnings included.
         Vec<Finding>,
+        /// What was found all the same, to be looked at and not to be used.
+        Box<LightCalibration>,
     ),
 }

@@ -106,7 +106,7 @@ fn errors(found: &LightCalibration) -> SVector<f64, PARAMETERS> {
 
 fn causes(result: Result<LightCalibration, LightError>) -> Vec<Cause> {
     match result {
-        Err(LightError::Refused(findings)) => findings
+        Err(LightError::Refused(findings, _)) => findings
             .iter()
             .filter(|f| f.severity == Severity::Refuse)
             .map(|f| f.cause)
@@ -289,7 +289,7 @@ fn positions_in_a_wrong_unit_are_named() {
         }
         let result = solve_with(&s, &views, Options::default());
         match &result {
-            Err(LightError::Refused(findings)) => {
+            Err(LightError::Refused(findings, _)) => {
                 assert!(
                     findings
                         .iter()
@@ -382,7 +382,7 @@ fn a_wrong_position_is_refused_by_name() {
         view.stripes[6].slide_mm = 33.0; // the images are those of 30 mm
     }
     match solve(&s) {
-        Err(LightError::Refused(findings)) => {
+        Err(LightError::Refused(findings, _)) => {
             assert!(
                 findings
                     .iter()
@@ -448,7 +448,7 @@ fn without_variety_there_is_no_plane() {
         );
         match solve(&s) {
             Err(LightError::OneLine) => {}
-            Err(LightError::Refused(findings)) => {
+            Err(LightError::Refused(findings, _)) => {
                 assert!(
                     findings.iter().any(|f| f.cause == Cause::LightGeometry),
                     "{findings:?}"

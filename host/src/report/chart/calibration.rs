@@ -111,7 +111,7 @@ pub fn tilts(c: &Calibration) -> Plot {
             Kind::Dots,
             c.views
                 .iter()
-                .map(|v| (v.tilt_deg[1], v.tilt_deg[0]))
+                .filter_map(|v| v.tilt_deg.map(|t| (t[1], t[0])))
                 .collect(),
         )],
         ..Plot::default()

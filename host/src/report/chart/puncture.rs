@@ -1,12 +1,15 @@
 //! Charts of the puncture: Figures 25 to 27, and the force over the angle.
 
 use super::{Kind, Plot, Series};
-use crate::report::model::{Puncture, PunctureRun};
+use crate::report::model::{Model, Puncture, PunctureRun};
 
 /// Figures 25 and 27: the whole force of each run over time.
 pub fn forces(p: &Puncture) -> Plot {
     Plot {
-        title: "Force on the needle at each angle (as Figures 25 and 27)".into(),
+        title: format!(
+            "Force on the needle at each angle (as Figures 25 and 27): {}",
+            words(p)
+        ),
         x_label: "time / s".into(),
         y_label: "force / N".into(),
         series: p
@@ -17,9 +20,24 @@ pub fn forces(p: &Puncture) -> Plot {
                 let points = r.curve.iter().map(|c| (c[0], c[1])).collect();
                 Series::new(&format!("{:.0}°", r.angle_deg), i, Kind::Line, points)
             })
+            .chain(p.runs.iter().enumerate().map(|(i, r)| {
+                // The force at each puncture, on its curve.
+                let events = r.events.iter().filter_map(|e| e.2);
+                let at = events.filter_map(|t| {
+                    let next = r.curve.iter().find(|c| c[0] >= t)?;
+                    Some((next[0], next[1]))
+                });
+                let name = if i == 0 { "layer punctured" } else { "" };
+                Series::new(name, i, Kind::Dots, at.collect())
+            }))
             .collect(),
         ..Plot::default()
     }
+}
+
+/// What computed the curves.
+fn words(p: &Puncture) -> &'static str {
+    p.runs.first().map_or("", |r| r.model.words())
 }
 
 /// Figure 26: the force of each layer over time, with the moments of puncture.
@@ -29,7 +47,11 @@ pub fn force_by_layer(r: &PunctureRun) -> Plot {
         Series::new(name, colour, Kind::Line, points)
     };
     Plot {
-        title: format!("Force of each layer at {:.0}° (as Figure 26)", r.angle_deg),
+        title: format!(
+            "Force of each layer at {:.0}° (as Figure 26): {}",
+            r.angle_deg,
+            r.model.words()
+        ),
         x_label: "time / s".into(),
         y_label: "force / N".into(),
         series: vec![layer("skin", 1, 2), layer("fat", 4, 3), layer("vein", 0, 4)],
@@ -54,6 +76,7 @@ pub fn force_over_angle(p: &Puncture) -> Plot {
     let runs: Vec<(f64, f64)> = p
         .runs
         .iter()
+        .filter(|r| r.model == Model::Reference)
         .map(|r| {
             (
                 r.angle_deg,
@@ -62,7 +85,7 @@ pub fn force_over_angle(p: &Puncture) -> Plot {
         })
         .collect();
     if !runs.is_empty() {
-        series.push(Series::new("simulated", 1, Kind::Dots, runs));
+        series.push(Series::new("reference simulation", 1, Kind::Dots, runs));
     }
     Plot {
         title: "Peak force over the needle's angle".into(),

@@ -20,16 +20,14 @@ pub fn section(c: &Calibration) -> Markup {
                 "; light planes at " (c.positions.len()) " slide positions"
             }
             ". Method: " (c.method) "."
-            @if let Some(made) = &c.made { " Read from its file, " (made) ": residuals corner by corner are in the report of the run that made it." }
+            @if let Some(made) = &c.made { " It is " (made) "." }
         }
         (findings(c))
         div.charts {
             @if !c.views.is_empty() { (chart(&charts::view_rms(c))) }
             @if seen(|v| !v.residuals.is_empty()) { (chart(&charts::residuals(c))) }
-            @if seen(|v| !v.outline.is_empty()) {
-                (chart(&charts::coverage(c)))
-                (chart(&charts::tilts(c)))
-            }
+            @if seen(|v| !v.outline.is_empty()) { (chart(&charts::coverage(c))) }
+            @if seen(|v| v.tilt_deg.is_some()) { (chart(&charts::tilts(c))) }
             @if c.positions.len() > 1 { (chart(&charts::offsets(c))) }
             @if !c.figure_14.is_empty() { (chart(&charts::figure_14(c))) }
         }
@@ -40,13 +38,52 @@ pub fn section(c: &Calibration) -> Markup {
             (table_3(c))
         }
         (table_4(c))
+        (views(c))
     }
+}
+
+/// The views by name, to find the one that is odd.
+fn views(c: &Calibration) -> Markup {
+    let rows: Vec<Vec<String>> = c
+        .views
+        .iter()
+        .enumerate()
+        .map(|(i, v)| {
+            let tilt = |k: usize| v.tilt_deg.map_or("–".into(), |t| number(t[k], 1));
+            let largest = v.residuals.iter().map(|r| r[0].hypot(r[1]));
+            let largest = largest.fold(f64::NAN, f64::max);
+            vec![
+                v.name.clone(),
+                (i + 1).to_string(),
+                number(v.rms_px, 4),
+                number(largest, 4),
+                tilt(0),
+                tilt(1),
+                v.distance_mm.map_or("–".into(), |d| number(d, 0)),
+                if v.used { "yes" } else { "no" }.to_owned(),
+            ]
+        })
+        .collect();
+    table(
+        "Views of the board",
+        &[
+            "image",
+            "view",
+            "RMS / px",
+            "largest / px",
+            "tilt about the horizontal / °",
+            "about the vertical / °",
+            "distance / mm",
+            "used",
+        ],
+        &rows,
+    )
 }
 
 fn findings(c: &Calibration) -> Markup {
     html! {
         h3 { "What is weak, and what to do" }
-        @if c.findings.is_empty() { p { "Nothing that was checked is weak: coverage, tilts, residuals of each view and stripe, σ of focal length and planes, travel, hold-out. The limits stand under Provenance." } }
+        @if c.findings.is_empty() { p { "Nothing that was checked is weak: age, coverage, tilts, residuals of each view and stripe, σ of focal length and planes, travel, hold-out, what it leaves open of this result. The limits stand under Provenance." } }
         @else { ul { @for f in &c.findings { li { (f) } } } }
     }
 }

@@ -26,13 +26,13 @@ pub fn render(report: &Report) -> String {
                 // Nothing may be fetched, whatever a file's name or text contains.
                 meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
                 link rel="icon" href="data:,";
-                title { "Cannula: " (report.title) }
+                title { (report.title) " · Cannula" }
                 style { (PreEscaped(STYLE)) }
             }
             body {
                 main {
-                    h1 { "Needle insertion: " (report.title) }
-                    p.soft { (report.provenance.time.replace('T', " ").replace('Z', " UTC")) " · " (report.provenance.program) }
+                    h1 { (report.title) }
+                    p.soft { "Report of " (report.provenance.time) " · " (report.provenance.program) " · Research software, not a medical device; not for use on people without the approval and supervision that your institution requires." }
                     (needle::top(report))
                     @if let Some(s) = &report.scene { (scene::section(s)) }
                     (provenance::truth(&report.truth))
@@ -40,7 +40,6 @@ pub fn render(report: &Report) -> String {
                     (needle::stripes(&report.stripes))
                     @if let Some(p) = &report.puncture { (puncture::section(p)) }
                     (provenance::section(&report.provenance))
-                    p.warn { "Research software. Not a medical device; not for use on people without the approval and supervision that your institution requires." }
                 }
                 @if report.scene.is_some() { script { (PreEscaped(VIEWER)) } }
             }

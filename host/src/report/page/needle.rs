@@ -13,7 +13,7 @@ pub fn top(report: &Report) -> Markup {
         div.top {
             div {
                 @if let Some(n) = &report.needle { (angle(n)) }
-                @else if report.verdict.is_some() { p.angle { "No angle" } }
+                @else if !report.headline.is_empty() { p.angle { (report.headline) } }
                 @if let Some(v) = &report.verdict { (verdict(v)) }
                 @if let Some(n) = &report.needle { (details(n)) }
             }
@@ -34,16 +34,16 @@ fn angle(n: &Needle) -> Markup {
 
 fn verdict(v: &Verdict) -> Markup {
     html! {
-        div.verdict.not[!v.usable || !v.warnings.is_empty()] {
+        div.verdict.not[!v.usable] .caution[v.usable && !v.warnings.is_empty()] {
             strong {
-                @if !v.usable { "Not usable" }
-                @else if v.warnings.is_empty() { "Usable" }
-                @else { "Usable, but read this first" }
+                @if !v.usable { "Not usable:" }
+                @else if v.warnings.is_empty() { "Usable:" }
+                @else { "Usable with caution:" }
             }
-            @if v.usable && v.warnings.is_empty() { ": nothing that was checked speaks against it." }
+            @if v.usable && v.warnings.is_empty() { " nothing that was checked speaks against it." }
             @if !v.reasons.is_empty() { ul { @for r in &v.reasons { li { (r) } } } }
             @if !v.warnings.is_empty() {
-                @if !v.usable { "Beside that:" }
+                @if !v.usable { p { "Beside that:" } }
                 ul { @for w in &v.warnings { li { (w) } } }
             }
         }
@@ -54,7 +54,7 @@ fn details(n: &Needle) -> Markup {
     html! {
         @for f in &n.frames {
             div.scroll { table {
-                thead { tr { th { (f.name) " frame" } th { "X" } th { "Y" } th { "Z" } } }
+                thead { tr { th.left { (f.name) " frame" } th { "X" } th { "Y" } th { "Z" } } }
                 tbody {
                     (row("entry / mm", &f.entry_mm, 3))
                     (row("needle axis", &f.axis, 4))
@@ -69,13 +69,14 @@ fn details(n: &Needle) -> Markup {
             }
             @if let Some(s) = n.axis_sigma_deg { "Axis: σ " (number(s, 3)) "°. " }
             "Plane fitted to " (n.region_points) " points within " (number(n.radius_mm, 1))
-            " mm of the entry, RMS distance " (number(n.region_rms_mm, 3)) " mm."
+            " mm of the entry, RMS distance " (number(n.region_rms_mm, 3)) " mm, as of a cylinder of " (number(n.bend_mm, 0)) " mm radius."
+            @if let Some(inner) = n.inner_angle_deg { " To the plane of half that radius the same needle stands at " (number(inner, 2)) "°." }
         }
     }
 }
 
 fn row(name: &str, v: &[f64; 3], decimals: usize) -> Markup {
-    html! { tr { td { (name) } @for x in v { td { (number(*x, decimals)) } } } }
+    html! { tr { td.left { (name) } @for x in v { td { (number(*x, decimals)) } } } }
 }
 
 /// SVG polyline coordinates.
@@ -87,6 +88,14 @@ fn path(points: &[[f64; 2]]) -> String {
         .join(" ")
 }
 
+/// SVG path of points alone.
+fn dots(points: &[[f64; 2]]) -> String {
+    points
+        .iter()
+        .map(|p| format!("M{:.1} {:.1}h0", p[0] + 0.5, p[1] + 0.5))
+        .collect()
+}
+
 fn picture(p: &Picture) -> Markup {
     let stroke = p.image.width as f64 / 400.0;
     html! {
@@ -94,6 +103,7 @@ fn picture(p: &Picture) -> Markup {
             div.drawn {
                 img src=(raster::data_uri(&raster::brightened(&p.image))) alt="The hand, with entry, vein, region and needle drawn on it" width=(p.image.width) height=(p.image.height);
                 svg viewBox=(format!("0 0 {} {}", p.image.width, p.image.height)) aria-hidden="true" {
+                    @if !p.points.is_empty() { path d=(dots(&p.points)) fill="none" stroke="#F0E442" stroke-width=(0.7 * stroke) stroke-linecap="round" {} }
                     @if !p.region.is_empty() { polygon points=(path(&p.region)) fill="#0072B2" fill-opacity="0.18" stroke="#56B4E9" stroke-width=(stroke) {} }
                     polyline points=(path(&p.vein)) fill="none" stroke="#CC79A7" stroke-width=(1.5 * stroke) stroke-dasharray=(format!("{} {}", 5.0 * stroke, 3.0 * stroke)) {}
                     @if !p.needle.is_empty() { polyline points=(path(&p.needle)) fill="none" stroke="#E69F00" stroke-width=(2.0 * stroke) {} }
@@ -104,7 +114,8 @@ fn picture(p: &Picture) -> Markup {
                 span.key style="background:#D55E00" {} "entry · "
                 @if !p.needle.is_empty() { span.key style="background:#E69F00" {} "needle before the entry · " }
                 span.key style="background:#CC79A7" {} "vein, as given"
-                @if !p.region.is_empty() { " · " span.key style="background:#56B4E9" {} "region of the plane" }
+                @if !p.region.is_empty() { " · " span.key style="background:#56B4E9" {} @if p.points.is_empty() { "region of the plane" } @else { "region that was asked for" } }
+                @if !p.points.is_empty() { " · " span.key style="background:#F0E442" {} "measured surface" }
                 " (image brightened)"
             }
         }

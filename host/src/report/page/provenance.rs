@@ -13,11 +13,11 @@ pub fn truth(rows: &[TruthRow]) -> Markup {
             h2 { "Against the truth" }
             p.soft { "The rig is simulated, so the truth is known." }
             div.scroll { table {
-                thead { tr { th { "" } th { "error" } th { "unit" } @if limits { th { "asked" } } } }
+                thead { tr { th.left { "quantity" } th { "error" } th.left { "unit" } @if limits { th { "asked" } } } }
                 tbody { @for r in rows { tr {
-                    td { (r.what) }
+                    td.left { (r.what) }
                     td.over[r.limit.is_some_and(|l| r.error > l)] { (number(r.error, 4)) }
-                    td { (r.unit) }
+                    td.left { (r.unit) }
                     @if limits {
                         td { @if let Some(l) = r.limit { "≤ " (number(l, 3)) } @else { "–" } }
                     }

@@ -12,6 +12,7 @@ pub fn section(p: &Puncture) -> Markup {
         h2 { "Puncture" }
         p { "Angle by the criterion «" (p.criterion) "»: " strong { (number(p.angle_deg, 1)) "°" } "." }
         @for s in &p.sentences { p { (s) } }
+        @if !p.curves.is_empty() { p.soft { (p.curves) } }
         div.charts {
             @if !p.runs.is_empty() { (chart(&charts::forces(p))) }
             @for r in &p.runs { (chart(&charts::force_by_layer(r))) }

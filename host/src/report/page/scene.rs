@@ -6,6 +6,39 @@ use maud::{Markup, PreEscaped, html};
 
 /// The section.
 pub fn section(s: &Scene) -> Markup {
+    // What there is, with its key; the viewer knows each by its name.
+    let refused = s.plane.is_none();
+    let layers = [
+        ("plane", s.plane.is_some(), "#0072b2", "plane"),
+        (
+            "section",
+            s.section.is_some(),
+            "#cc79a7",
+            "vein’s section plane",
+        ),
+        (
+            "vein",
+            s.vein.len() > 1,
+            "#56b4e9",
+            if refused { "vein as given" } else { "vein" },
+        ),
+        (
+            "region",
+            !s.region.is_empty(),
+            "#009e73",
+            if refused {
+                "region asked for"
+            } else {
+                "region"
+            },
+        ),
+        (
+            "sight",
+            s.sight.is_some(),
+            "#d55e00",
+            "sight through the entry pixel",
+        ),
+    ];
     html! {
         h2 { "The scan in space" }
         div.scene {
@@ -13,10 +46,10 @@ pub fn section(s: &Scene) -> Markup {
             label { "colour " select { option value="height" { "height" } option value="brightness" { "brightness" } } }
             span.scale { span.low {} i {} span.high {} }
             label { input type="checkbox" data-layer="cloud" checked; " cloud" }
-            label { input type="checkbox" data-layer="plane" checked; " " span.key style="background:#0072b2" {} "plane" }
-            label { input type="checkbox" data-layer="section" checked; " " span.key style="background:#cc79a7" {} "vein's section plane" }
-            label { input type="checkbox" data-layer="vein" checked; " " span.key style="background:#56b4e9" {} "vein" }
-            label { input type="checkbox" data-layer="needle" checked; " needle: " span.key style="background:#888888" {} "before, " span.key style="background:#d55e00" {} "in the hand" }
+            @for (layer, _, colour, name) in layers.iter().filter(|l| l.1) {
+                label { input type="checkbox" data-layer=(layer) checked; " " span.key style=(format!("background:{colour}")) {} (name) }
+            }
+            @if s.needle.is_some() { label { input type="checkbox" data-layer="needle" checked; " needle: " span.key style="background:#888888" {} "before, " span.key style="background:#d55e00" {} "in the hand" } }
             button type="button" { "first view" }
         }
         div.view-3d data-scene="scene-data" {
@@ -25,7 +58,12 @@ pub fn section(s: &Scene) -> Markup {
             p.no-view { "This browser has no WebGL; the cloud is in cloud.ply." }
         }
         }
-        p.soft { (s.points.len()) " points. Drag to turn, wheel or pinch to zoom, right drag or two fingers to pan; the measured point under the pointer is given in the camera’s frame (X right, Y down, Z away). The plane’s square is " (super::number(2.0 * s.radius_mm, 0)) " mm wide." }
+        p.soft.screen { "Drag to turn, wheel or pinch to zoom, right drag, shift and drag, or two fingers to pan; the measured point under the pointer is given in the camera’s frame (X right, Y down, Z away)." }
+        p.soft {
+            (s.points.len()) " points. "
+            @if refused { "The region of " (super::number(2.0 * s.radius_mm, 0)) " mm across stands where the entry pixel looks, at the depth of the measured points around it." }
+            @else { "The region and the plane’s square are " (super::number(2.0 * s.radius_mm, 0)) " mm wide." }
+        }
         script type="application/json" id="scene-data" { (PreEscaped(data(s))) }
     }
 }
@@ -54,8 +92,9 @@ fn data(s: &Scene) -> String {
         "needle": s.needle.map(|n| serde_json::json!({
             "from": n.from, "entry": n.entry, "to": n.to, "radius": n.radius,
         })),
+        "region": (!s.region.is_empty()).then_some(&s.region),
+        "sight": s.sight,
         "focus": s.focus,
-        "reach": s.reach_mm,
         "view": s.view,
         "up": s.up,
     })

@@ -1,28 +1,41 @@
-//! Tables: first column left, numbers right, units in the head.
+//! Tables: numbers right, words left, units in the head.
 
 use crate::report::model::Table;
 use maud::{Markup, html};
 
+/// How a column's cells stand: numbers right, words left, and long ones wrapped.
+fn class(cells: &[&str]) -> Option<&'static str> {
+    let words = |c: &&str| c.chars().any(char::is_alphabetic);
+    let long = |c: &&str| c.chars().count() > 30;
+    match cells {
+        c if c.iter().any(long) => Some("text"),
+        c if c.iter().any(words) => Some("left"),
+        _ => None,
+    }
+}
+
 /// A table with a caption above.
 pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
-    // A column with long words in it wraps and stands left; numbers do not.
-    let text: Vec<bool> = (0..head.len())
+    let classes: Vec<Option<&str>> = (0..head.len())
         .map(|k| {
-            let mut cells = rows.iter().filter_map(|r| r.get(k));
-            cells.any(|c| c.chars().count() > 30)
+            let cells: Vec<&str> = rows
+                .iter()
+                .filter_map(|r| Some(r.get(k)?.as_str()))
+                .collect();
+            class(&cells)
         })
         .collect();
-    let is_text = |k: usize| text.get(k).copied().unwrap_or(false);
+    let of = |k: usize| classes.get(k).copied().flatten();
     html! {
-        @if !rows.is_empty() {
+        @if !rows.is_empty() { div.block {
             @if !caption.is_empty() { h3 { (caption) } }
             div.scroll { table {
-                thead { tr { @for (k, h) in head.iter().enumerate() { th.text[is_text(k)] { (h) } } } }
+                thead { tr { @for (k, h) in head.iter().enumerate() { th class=[of(k)] { (h) } } } }
                 tbody { @for row in rows { tr {
-                    @for (k, cell) in row.iter().enumerate() { td.text[is_text(k)] { (cell) } }
+                    @for (k, cell) in row.iter().enumerate() { td class=[of(k)] { (cell) } }
                 } } }
             } }
-        }
+        } }
     }
 }
 
@@ -30,4 +43,29 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
 pub fn given(caption: &str, t: &Table) -> Markup {
     let head: Vec<&str> = t.head.iter().map(String::as_str).collect();
     table(caption, &head, &t.rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_stand_right_and_words_left() {
+        let rows = vec![vec![
+            "−5.00".into(),
+            "3 × 10⁻⁷".into(),
+            "px".into(),
+            "60°".into(),
+        ]];
+        let page = table("", &["slide / mm", "Σ / px²", "unit", "angle"], &rows).into_string();
+        for (cell, class) in [
+            ("−5.00", ""),
+            ("3 × 10⁻⁷", ""),
+            ("px", " class=\"left\""),
+            ("60°", ""),
+        ] {
+            assert!(page.contains(&format!("<td{class}>{cell}</td>")), "{page}");
+        }
+        assert!(page.contains("<th>slide / mm</th>") && page.contains("<th class=\"left\">unit"));
+    }
 }

@@ -6,6 +6,7 @@ use crate::report::render;
 fn full() -> Report {
     Report {
         title: "a <b>bold</b> session".into(),
+        headline: String::new(),
         verdict: Some(Verdict {
             usable: false,
             reasons: vec!["the region has a hole".into()],
@@ -101,7 +102,7 @@ fn every_section_is_there_and_text_is_escaped() {
         "Puncture",
         "Against the truth",
         "Provenance",
-        "Not a medical device",
+        "not a medical device",
     ] {
         assert!(page.contains(word), "{word} is missing");
     }

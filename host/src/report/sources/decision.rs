@@ -4,7 +4,7 @@ use crate::puncture::decision::Decision;
 use crate::puncture::fast::Calibration;
 use crate::puncture::output::PunctureReport;
 use crate::puncture::tissue::Setup;
-use crate::report::model::{Puncture, PunctureRun, Table};
+use crate::report::model::{Model, Puncture, PunctureRun, Table};
 
 /// Said wherever a force is shown: what the model can't be trusted with.
 const CAUTION: &str = "The forces are a model's, with assumed toughness and strength; clinical practice is 15–30°. The order of the angles follows mostly from friction times path. «Simulated» is the reference model (finite elements with a cutting needle), «fast model» a closed form fitted to it, with its own error: the two differ by that much.";
@@ -12,8 +12,13 @@ const CAUTION: &str = "The forces are a model's, with assumed toughness and stre
 /// The section of a decision by the fast model alone.
 pub fn decided(d: &Decision, setup: &Setup) -> Puncture {
     let fast = Calibration::stored();
+    let angles = d.rows.iter().map(|r| r.angle_deg);
     Puncture {
-        runs: Vec::new(),
+        runs: angles.map(|a| fast_run(fast, setup, a)).collect(),
+        curves: format!(
+            "The curves are the fast model’s: a closed form whose peaks are {:.1} % RMS off the reference simulation, as is the peak over the angle; dots mark where a layer gives way. `--puncture` (or `cannula puncture`) simulates them.",
+            100.0 * fast.peak_error
+        ),
         force_over_angle: (10..=80)
             .map(|a| {
                 let angle = f64::from(a);
@@ -33,13 +38,51 @@ pub fn decided(d: &Decision, setup: &Setup) -> Puncture {
     }
 }
 
+/// The force at one angle by the fast model.
+fn fast_run(fast: &Calibration, setup: &Setup, angle_deg: f64) -> PunctureRun {
+    const POINTS: usize = 240;
+    let angle = angle_deg.to_radians();
+    let (end, speed) = (fast.end_mm(setup, angle), setup.needle.speed_mm_s);
+    let curve: Vec<[f64; 5]> = (0..=POINTS)
+        .map(|k| {
+            let s = end * k as f64 / POINTS as f64;
+            let f = fast.force(setup, angle, s);
+            let [skin, fat, vein] = f.layer_n;
+            [s / speed, f.total(), skin, fat, vein]
+        })
+        .collect();
+    let passages = fast.passages(setup, angle);
+    let events = ["skin", "fat", "vein"].iter().zip(passages).enumerate();
+    let events = events.filter(|(_, (_, (contact, _)))| *contact <= end);
+    PunctureRun {
+        model: Model::Fast,
+        angle_deg,
+        events: events
+            .map(|(k, (layer, (contact, through)))| {
+                let peak = curve.iter().map(|c| c[k + 2]).fold(0.0, f64::max);
+                let through = (through <= end).then_some(through / speed);
+                ((*layer).to_owned(), contact / speed, through, peak)
+            })
+            .collect(),
+        curve,
+    }
+}
+
 /// The section of a whole report, with the reference's curves.
 pub fn punctured(r: &PunctureReport, setup: &Setup) -> Puncture {
+    let mut section = decided(&r.decision, setup);
+    with_reference(&mut section, r);
+    section
+}
+
+/// Puts the reference's curves in place of the fast model's; decision and angle stay.
+pub fn with_reference(section: &mut Puncture, r: &PunctureReport) {
     let runs = r
         .runs
         .iter()
         .zip(&r.curves)
         .map(|(run, curve)| PunctureRun {
+            model: Model::Reference,
             angle_deg: run.angle_deg,
             curve: curve
                 .iter()
@@ -58,14 +101,13 @@ pub fn punctured(r: &PunctureReport, setup: &Setup) -> Puncture {
                 })
                 .collect(),
         });
-    let mut section = decided(&r.decision, setup);
     section.runs = runs.collect();
+    section.curves = "The curves are the reference simulation’s (finite elements that the needle cuts), its samples not averaged; the band and line of the peak over the angle are the fast model’s, the dots on it the simulation’s.".to_owned();
     section.sentences.extend(
         r.stopped
             .iter()
             .map(|s| format!("{}°: {}.", s.angle_deg, s.reason)),
     );
-    section
 }
 
 fn table(head: &[&str], rows: Vec<Vec<String>>) -> Table {
@@ -166,6 +208,15 @@ mod tests {
         let section = decided(&d, &Setup::default());
         assert_eq!(section.angle_deg, d.angle_deg);
         assert_eq!(section.decision.rows.len(), d.rows.len());
+        // The curves are of the angles that were compared, and their peaks the decision's.
+        for (run, row) in section.runs.iter().zip(&d.rows) {
+            assert_eq!((run.model, run.angle_deg), (Model::Fast, row.angle_deg));
+            let peak = run.curve.iter().map(|c| c[1]).fold(0.0, f64::max);
+            assert!((peak / row.peak_force_n - 1.0).abs() < 0.01, "{peak}");
+            let times: Vec<f64> = run.events.iter().filter_map(|e| e.2).collect();
+            assert_eq!(times.len(), 3, "skin, fat and vein give way");
+            assert!(times.is_sorted(), "{times:?}");
+        }
         assert_eq!(section.force_over_angle.len(), 71);
         for [_, peak, low, high] in &section.force_over_angle {
             assert!(low <= peak && peak <= high && *peak > 0.0);

@@ -6,9 +6,9 @@ mod measurement;
 mod picture;
 mod puncture;
 
-pub use calibration::{calibration, of_file};
-pub use decision::{decided, punctured};
-pub use measurement::{needle, scene, verdict};
+pub use calibration::calibration;
+pub use decision::{decided, punctured, with_reference};
+pub use measurement::{needle, scene, scene_refused, verdict};
 pub use picture::{picture, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
@@ -21,7 +21,7 @@ pub fn provenance(session: &str, settings: Vec<(String, String)>, times: &Times)
     Provenance {
         program: format!("cannula {}", env!("CARGO_PKG_VERSION")),
         command: std::env::args().collect::<Vec<_>>().join(" "),
-        time: crate::output::seconds(jiff::Timestamp::now()),
+        time: crate::output::moment(jiff::Timestamp::now()),
         session: session.to_owned(),
         settings,
         stages: times
@@ -69,18 +69,13 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
             "smallest angle between light plane and surface",
             degrees(l.grazing),
         ),
-        ("calibration: old after", format!("{OLD_DAYS} days")),
         (
-            "calibration: loose if corners miss by",
-            format!("{LOOSE_CORNERS_PX} px"),
+            "region: called curved from RMS distance over radius",
+            l.curved.to_string(),
         ),
         (
-            "calibration: loose if planes are predicted to",
-            format!("{LOOSE_PLANES_MM} mm"),
-        ),
-        (
-            "calibration: loose if it alone leaves entry, angle to",
-            format!("{LOOSE_ENTRY_MM} mm, {LOOSE_AXIS_DEG}°"),
+            "region: angle said to hang on the radius from",
+            degrees(l.turn),
         ),
     ];
     let mut rows: Vec<(String, String)> = own
@@ -98,11 +93,33 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
             ("hand stripe: albedo corrected".to_owned(), yes(hand.albedo)),
         ]);
     }
-    let gates = crate::calibration::camera::limits()
-        .into_iter()
-        .chain(crate::calibration::light::limits());
-    rows.extend(gates.map(|(name, value)| (name.to_owned(), value)));
+    rows.extend(calibration_settings(method).into_iter().skip(1));
     rows
+}
+
+/// Every threshold of a calibration.
+pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
+    let own = [
+        ("method", method.name().to_owned()),
+        ("calibration: old after", format!("{OLD_DAYS} days")),
+        (
+            "calibration: loose if corners miss by",
+            format!("{LOOSE_CORNERS_PX} px"),
+        ),
+        (
+            "calibration: loose if planes are predicted to",
+            format!("{LOOSE_PLANES_MM} mm"),
+        ),
+        (
+            "calibration: loose if it alone leaves entry, angle to",
+            format!("{LOOSE_ENTRY_MM} mm, {LOOSE_AXIS_DEG}°"),
+        ),
+    ];
+    own.into_iter()
+        .chain(crate::calibration::camera::limits())
+        .chain(crate::calibration::light::limits())
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect()
 }
 
 /// The leaves of anything that can be written as JSON, with the path to each.

@@ -1,10 +1,12 @@
 //! The pictures: the hand with what was decided drawn on it, and pieces of frames with their
 //! centres.
 
-use crate::geometry::{Camera, Point3, tangent_basis};
+use super::measurement::{at_cloud, circle};
+use crate::geometry::{Camera, Point3};
 use crate::image::Image;
 use crate::pipeline::Measurement;
 use crate::report::model::{Gray, Picture, StripeSample};
+use crate::report::write::Outcome;
 use crate::session::{Session, SessionError};
 use crate::stripe::hand::{self, HandSettings, Surface};
 
@@ -25,11 +27,14 @@ fn read(session: &Session, name: &str) -> Result<Image<u8>, SessionError> {
     }
 }
 
+/// Most measured points drawn on the hand.
+const MOST_POINTS: usize = 4000;
+
 /// The hand (ambient image, or the middle frame), with entry, vein, and, where it was measured,
-/// region and needle.
+/// region and needle; where no angle is given, the measured points and the region asked for.
 pub fn picture(
     session: &Session,
-    measured: Option<&Measurement>,
+    outcome: &Outcome,
     camera: &Camera,
 ) -> Result<Option<Picture>, SessionError> {
     let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
@@ -46,17 +51,22 @@ pub fn picture(
         vein: entry.vein.clone(),
         region: Vec::new(),
         needle: Vec::new(),
+        points: Vec::new(),
     };
-    if let Some(m) = measured {
+    let seen = |p: &Point3| camera.project(p).map(|u| [u.x, u.y]);
+    if let Some(s) = outcome.scanned() {
+        if let Some(at) = at_cloud(s, &s.request.pixel, camera) {
+            let region = circle(&at, &at.coords.normalize(), s.request.radius_mm);
+            drawn.region = region.iter().filter_map(seen).collect();
+        }
+        let every = s.cloud.len().div_ceil(MOST_POINTS).max(1);
+        let points = s.cloud.iter().step_by(every);
+        drawn.points = points.map(|p| [p.pixel.x, p.pixel.y]).collect();
+    }
+    if let Some(m) = outcome.measured() {
         let d = &m.decision;
-        let basis = tangent_basis(&d.plane.normal);
-        let seen = |p: &Point3| camera.project(p).map(|u| [u.x, u.y]);
-        let circle = (0..72).filter_map(|k| {
-            let (sin, cos) = (f64::from(k) * 5.0).to_radians().sin_cos();
-            let r = m.request.radius_mm;
-            seen(&(d.entry + basis.column(0) * (r * cos) + basis.column(1) * (r * sin)))
-        });
-        drawn.region = circle.collect();
+        let region = circle(&d.entry, &d.plane.normal, m.request.radius_mm);
+        drawn.region = region.iter().filter_map(seen).collect();
         let path = &d.needle.path;
         let along = |k: i32| path.start + (path.entry - path.start) * (f64::from(k) / 20.0);
         drawn.needle = (0..=20).filter_map(|k| seen(&along(k))).collect();
@@ -99,6 +109,10 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     drawn.vein.iter_mut().for_each(shift);
     drawn.region.iter_mut().for_each(shift);
     drawn.needle.iter_mut().for_each(shift);
+    let (width, height) = (drawn.image.width as f64, drawn.image.height as f64);
+    drawn.points.iter_mut().for_each(shift);
+    let inside = |p: &[f64; 2]| (0.0..width).contains(&p[0]) && (0.0..height).contains(&p[1]);
+    drawn.points.retain(inside);
     drawn
 }
 

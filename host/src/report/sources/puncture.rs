@@ -1,6 +1,6 @@
 //! The puncture's section, from the solver's report or from the files that it wrote.
 
-use crate::report::model::{Puncture, PunctureRun};
+use crate::report::model::{Model, Puncture, PunctureRun};
 use anyhow::{Context, ensure};
 use serde_json::Value;
 use std::path::Path;
@@ -35,6 +35,7 @@ pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
                 path.display()
             );
             Ok(PunctureRun {
+                model: Model::Reference,
                 angle_deg: run["angle_deg"].as_f64().unwrap_or(f64::NAN),
                 curve: curve(&folder.join(name))?,
                 events: events(&run["events"]),

@@ -1,0 +1,158 @@
+//! What a reader gets when there is no result: the cloud and a report that shows why, never an
+//! earlier run's needle. And what a calibration's file tells a later report.
+
+use cannula::cli;
+use cannula::cloud::read_ply;
+use cannula::pipeline::{Method, Times, calibrate, measure};
+use cannula::progress::Silent;
+use cannula::session::{Manifest, Session};
+use cannula_tests::truth::committed;
+use std::path::Path;
+
+fn run(words: &[&str]) -> u8 {
+    let all = ["cannula", "--quiet"].iter().chain(words);
+    cli::main(all.map(Into::into))
+}
+
+/// The small recording in a folder of its own, changed.
+fn recording(folder: &Path, change: impl FnOnce(&mut Manifest)) -> String {
+    let from = committed("tiny-1001");
+    let mut m = Session::open(&from).unwrap().manifest;
+    let whole = |name: &mut String| *name = from.join(&*name).display().to_string();
+    m.camera.iter_mut().for_each(|c| whole(&mut c.image));
+    for pose in &mut m.light {
+        pose.off.iter_mut().for_each(whole);
+        pose.on.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    if let Some(scan) = &mut m.scan {
+        scan.ambient.iter_mut().for_each(whole);
+        scan.frames.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    change(&mut m);
+    std::fs::create_dir_all(folder).unwrap();
+    let text = serde_json::to_vec(&m).unwrap();
+    std::fs::write(folder.join("session.json"), text).unwrap();
+    folder.display().to_string()
+}
+
+/// What the report says above everything, and whether it holds a view of the cloud.
+fn top(page: &str) -> (String, bool) {
+    let from = page.find("<main>").unwrap();
+    let to = page.find("<h2>").unwrap();
+    (
+        page[from..to].to_owned(),
+        page.contains("id=\"scene-data\""),
+    )
+}
+
+#[test]
+fn a_refused_needle_leaves_cloud_and_report_and_no_earlier_needle() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let to = out.display().to_string();
+    let good = recording(&dir.path().join("good"), |_| ());
+    assert_eq!(run(&["process", &good, "--out", &to]), 0);
+    let whole = read_ply(std::fs::File::open(out.join("cloud.ply")).unwrap()).unwrap();
+    std::fs::remove_file(out.join("cloud.ply")).unwrap();
+    let calibration = dir.path().join("calibration.json");
+    std::fs::rename(out.join("calibration.json"), &calibration).unwrap();
+
+    // The entry beside the hand; the same cloud must be there to show it.
+    let off = recording(&dir.path().join("off"), |m| {
+        m.entry.as_mut().unwrap().pixel = [2.0, 2.0];
+    });
+    assert_eq!(run(&["process", &off, "--out", &to]), 1);
+    assert!(!out.join("result.json").exists() && out.join("result-before.json").exists());
+    let cloud = read_ply(std::fs::File::open(out.join("cloud.ply")).unwrap()).unwrap();
+    assert_eq!(cloud, whole);
+    let (head, view) = top(&std::fs::read_to_string(out.join("report.html")).unwrap());
+    assert!(
+        head.contains("Not usable:") && head.contains("check entry.pixel"),
+        "{head}"
+    );
+    assert!(head.contains("put aside as result-before.json") && view);
+
+    // A hole: half of the frames taken out, around the entry. With a calibration's file.
+    let hole = recording(&dir.path().join("hole"), |m| {
+        let frames = &mut m.scan.as_mut().unwrap().frames;
+        let (first, last) = (frames.len() / 4, 3 * frames.len() / 4);
+        frames.drain(first..last);
+    });
+    let given = calibration.display().to_string();
+    let to = dir.path().join("angle");
+    let words = ["angle", &hole, "--calibration", &given, "--out"];
+    let all = words.iter().copied().chain([to.to_str().unwrap()]);
+    assert_eq!(run(&all.collect::<Vec<_>>()), 1);
+    let page = std::fs::read_to_string(to.join("report.html")).unwrap();
+    let (head, view) = top(&page);
+    assert!(head.contains("Not usable:") && view, "{head}");
+    assert!(to.join("cloud.ply").exists() && !to.join("result.json").exists());
+    // The calibration is shown whole from its file.
+    for words in [
+        "Coverage: the corner grid",
+        "Tilt of the board",
+        "Reprojection residuals, drawn",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+}
+
+#[test]
+fn a_refused_calibration_shows_what_there_is() {
+    let dir = tempfile::tempdir().unwrap();
+    // Squares of another size than described: the planes move too fast or too slowly.
+    let bad = recording(&dir.path().join("bad"), |m| {
+        m.board.as_mut().unwrap().square_mm *= 2.0;
+    });
+    let out = dir.path().join("out");
+    assert_eq!(
+        run(&["process", &bad, "--out", &out.display().to_string()]),
+        1
+    );
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    let (head, view) = top(&page);
+    assert!(
+        head.contains("Not usable:") && head.contains("squares are"),
+        "{head}"
+    );
+    assert!(!view && !out.join("calibration.json").exists());
+    for words in ["Reprojection residuals, drawn", "Coverage", "Table 4"] {
+        assert!(page.contains(words), "{words}");
+    }
+    // The same from `calibrate`, beside the file that is not written.
+    let file = dir.path().join("rig.json");
+    assert_eq!(
+        run(&["calibrate", &bad, "--out", &file.display().to_string()]),
+        1
+    );
+    let page = std::fs::read_to_string(dir.path().join("rig.html")).unwrap();
+    assert!(page.contains("No calibration") && !file.exists());
+}
+
+/// The corners and residuals in the file are those of the solve.
+#[test]
+fn a_calibration_file_carries_its_views() {
+    let session = Session::open(&committed("tiny-1001")).unwrap();
+    let times = Times::default();
+    let found = calibrate(&session, Method::Ml, &times, &Silent).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("calibration.json");
+    let file = cannula::output::CalibrationFile::new(&found, &session);
+    cannula::output::write_json(&path, &file).unwrap();
+    assert!(std::fs::metadata(&path).unwrap().len() < 100_000);
+    let read = cannula::output::read_calibration(&path).unwrap();
+    assert_eq!(read.camera.views.len(), found.views.len());
+    for (view, rms) in read.camera.views.iter().zip(&found.zhang.view_rms_px) {
+        let squares = view.residuals_px.iter().map(|r| r * r);
+        let mean = squares.sum::<f64>() / (view.residuals_px.len() / 2) as f64;
+        assert!((mean.sqrt() - rms).abs() < 1e-4, "{} {rms}", mean.sqrt());
+        let tilt = view.tilt_deg.unwrap();
+        assert!(tilt.iter().all(|t| t.abs() < 70.0));
+    }
+    // What is measured with the file is what is measured with the solve.
+    let settings = cannula::needle::Settings::default();
+    let needle = |rig| measure(&session, &rig, &[], Method::Ml, &settings, &times, &Silent);
+    let a = needle(found.rig().unwrap()).unwrap().decision.entry;
+    let b = needle(read.rig().unwrap()).unwrap().decision.entry;
+    assert!((a - b).norm() < 1e-9);
+}
