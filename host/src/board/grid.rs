@@ -25,6 +25,24 @@ const PREDICTION: f64 = 0.3;
 /// No board has more squares along a side.
 const LARGEST: i32 = 100;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "board: largest angle to a neighbour",
+            format!("{:.0}°", f64::from(NEIGHBOUR_TANGENT).atan().to_degrees()),
+        ),
+        (
+            "board: largest angle between axes of a line",
+            format!("{:.0}°", f64::from(AXIS_SINE).asin().to_degrees()),
+        ),
+        (
+            "board: corner off its predicted place by at most",
+            format!("{PREDICTION} squares"),
+        ),
+    ]
+}
+
 const NONE: u32 = u32::MAX;
 
 fn cross(a: [f32; 2], b: [f32; 2]) -> f32 {

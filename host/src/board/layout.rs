@@ -25,6 +25,14 @@ pub(super) struct Place {
 /// A part of the places that may be missing from a board that is still taken as found.
 const MISSING: f64 = 0.4;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![(
+        "board: corners that may be missing",
+        format!("{:.0} %", 100.0 * MISSING),
+    )]
+}
+
 /// Lays the board onto a grid. `saturation` is the level's value of a saturated pixel.
 pub(super) fn lay_out(
     grid: &Grid,

@@ -22,6 +22,16 @@ mod tests;
 use crate::geometry::{Matrix2, Point3, Vector2};
 use crate::image::{Image, Pixel};
 
+/// What is decided by, for the report: name and value.
+pub fn limits() -> Vec<(&'static str, String)> {
+    let mut all = search::limits();
+    all.extend(grid::limits());
+    all.extend(layout::limits());
+    all.extend(refine::limits());
+    all.extend(noise::limits());
+    all
+}
+
 /// The calibration target: inner corners and the size of a square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardGeometry {

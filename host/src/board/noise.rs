@@ -21,6 +21,20 @@ const FOREIGN: f64 = 4.5;
 const SLACK: f64 = 0.03;
 /// A smaller part of the patch beyond the limit is chance.
 const CHANCE: f64 = 0.004;
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "board: pixels foreign beyond",
+            format!("{FOREIGN} σ and {:.0} % of the contrast", 100.0 * SLACK),
+        ),
+        (
+            "board: foreign by chance below",
+            format!("{:.1} %", 100.0 * CHANCE),
+        ),
+    ]
+}
+
 /// Foreign pixels take this many pixels around them along, px.
 const AROUND: i32 = 2;
 

@@ -22,6 +22,18 @@ const MOST_MASKED: f64 = 0.8;
 /// Standard deviation that no covariance goes below, px: what the model leaves on clean images.
 const FLOOR: f64 = 1e-3;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        ("board: most blur", format!("{MOST_BLUR} of a square")),
+        (
+            "board: a corner leans on its neighbours, is hidden where covered by more than",
+            format!("{:.0} %, {:.0} %", 100.0 * LEANING, 100.0 * MOST_MASKED),
+        ),
+        ("board: least σ of a corner", format!("{FLOOR} px")),
+    ]
+}
+
 pub(super) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return 0.0;

@@ -22,6 +22,25 @@ const FIRST_SIZE: usize = 1000;
 /// Grids tried per level.
 const MOST_GRIDS: usize = 4;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "board: least corner response",
+            format!("{THRESHOLD} (8 × contrast)"),
+        ),
+        (
+            "board: most peaks, candidates looked at",
+            format!("{MOST_PEAKS}, {MOST_CANDIDATES}"),
+        ),
+        ("board: grids tried a level", MOST_GRIDS.to_string()),
+        (
+            "board: sizes searched first",
+            format!("up to {FIRST_SIZE} px"),
+        ),
+    ]
+}
+
 /// What the search came to so far.
 #[derive(Default)]
 struct Failure {

@@ -10,6 +10,11 @@ use crate::simd::widest;
 /// corners lie beyond it.
 const HUBER: f64 = 3.0;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![("corners: Huber’s threshold", format!("{HUBER} σ"))]
+}
+
 /// Smallest variance factor that is told from zero (exact data).
 const LEAST_VARIANCE: f64 = 1e-10;
 

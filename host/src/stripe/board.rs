@@ -29,6 +29,22 @@ const SMALL: f64 = 30.0;
 /// A slope above which rows are measured rather than columns.
 const STEEP: f64 = 1.2;
 
+/// What is decided by, for the report: name and value.
+pub fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        ("board stripe: columns to a point", BIN.to_string()),
+        ("board stripe: fewest columns", LEAST.to_string()),
+        (
+            "board stripe: shortest square without an image to subtract",
+            format!("{SMALL} px"),
+        ),
+        (
+            "board stripe: rows measured above a slope of",
+            STEEP.to_string(),
+        ),
+    ]
+}
+
 /// Stripe centres on the board in an image with the laser on; `off` is the same view without it.
 /// `corners` are the inner corners in the board's order (`columns` along its long side × `rows`):
 /// only the board's area is read. Each point stands for four columns (or rows, where the stripe

@@ -447,6 +447,30 @@ fn classify(segments: &mut [Segment]) {
 /// Part of the hand's brightness below which a segment is taken for the background.
 const DIM: f32 = 0.35;
 
+/// What is decided by, for the report: name and value.
+pub fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "hand stripe: fewest columns of a segment",
+            LEAST.to_string(),
+        ),
+        ("hand stripe: columns left out at each end", END.to_string()),
+        (
+            "hand stripe: background below, of the hand’s brightness",
+            format!("{:.0} %", f64::from(100.0 * DIM)),
+        ),
+        (
+            "hand stripe: an end column is on the edge below, of its neighbours’ brightness",
+            format!("{:.0} %", f64::from(100.0 * FADED)),
+        ),
+        (
+            "hand stripe: centres dropped beyond",
+            format!("{OUTLIER} σ"),
+        ),
+        ("hand stripe: least σ of a centre", format!("{FLOOR} px")),
+    ]
+}
+
 /// Whether the second segment begins where the first would go on.
 fn continues(before: &Segment, after: &Segment) -> bool {
     let (Some(a), Some(b)) = (before.points.last(), after.points.first()) else {

@@ -300,8 +300,8 @@ fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
 }
 
 /// The gate's limits by name, for the report.
-pub fn limits() -> [(&'static str, String); 8] {
-    [
+pub fn limits() -> Vec<(&'static str, String)> {
+    let mut all = vec![
         (
             "camera: view left out beyond",
             format!("{BAD_VIEW} × the median view's residuals"),
@@ -331,5 +331,8 @@ pub fn limits() -> [(&'static str, String); 8] {
             format!("{REFUSE_RMS_PX} px"),
         ),
         ("camera: named at residuals of", format!("{WARN_RMS_PX} px")),
-    ]
+        ("camera: fewest views", super::LEAST_VIEWS.to_string()),
+    ];
+    all.extend(crate::calibration::corners::limits());
+    all
 }

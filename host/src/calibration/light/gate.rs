@@ -230,9 +230,9 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
 }
 
 /// The gate's limits by name, for the report.
-pub fn limits() -> [(&'static str, String); 5] {
+pub fn limits() -> Vec<(&'static str, String)> {
     let pair = |(refused, named): (f64, f64), unit: &str| format!("{refused}{unit}, {named}{unit}");
-    [
+    let mut all = vec![
         (
             "light planes: travel off the normal refused, named at",
             format!("{:.0}°, {:.0}°", ANGLE.0.to_degrees(), ANGLE.1.to_degrees()),
@@ -253,5 +253,7 @@ pub fn limits() -> [(&'static str, String); 5] {
             "light planes: least part of a stripe used",
             format!("{} %", 100.0 * LEAST_USED),
         ),
-    ]
+    ];
+    all.extend(super::strand::limits());
+    all
 }

@@ -23,6 +23,24 @@ pub const TUKEY: f64 = 6.0;
 /// something else.
 const LEAST_ALIGNMENT: f64 = 0.5;
 
+/// What is decided by, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "light planes: stripes summed up over",
+            format!("{PIECE_PX} px"),
+        ),
+        (
+            "light planes: Tukey’s weight zero beyond",
+            format!("{TUKEY} σ"),
+        ),
+        (
+            "light planes: largest angle of measuring to the stripe’s normal",
+            format!("{:.0}°", LEAST_ALIGNMENT.acos().to_degrees()),
+        ),
+    ]
+}
+
 /// A measured stripe, in pieces.
 #[derive(Clone, Debug)]
 pub struct Strand {

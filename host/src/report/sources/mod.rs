@@ -13,6 +13,7 @@ pub use picture::{picture, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
 use super::model::Provenance;
+use crate::needle::surface::{BROAD_MM, FINE_MM};
 use crate::output::{LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS};
 use crate::pipeline::{Method, Times};
 
@@ -78,10 +79,11 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
             degrees(l.turn),
         ),
     ];
-    let mut rows: Vec<(String, String)> = own
-        .into_iter()
-        .map(|(name, value)| (name.to_owned(), value))
-        .collect();
+    let mut rows: Vec<(String, String)> = named(own).collect();
+    rows.extend([(
+        "region: parabola along the stripe, half its width for heights, for the vein".to_owned(),
+        format!("{} mm, {} mm", FINE_MM, BROAD_MM),
+    )]);
     if method == Method::Ml {
         let hand = crate::stripe::hand::HandSettings::default();
         let yes = |on: bool| if on { "yes" } else { "no" }.to_owned();
@@ -92,6 +94,10 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
             ),
             ("hand stripe: albedo corrected".to_owned(), yes(hand.albedo)),
         ]);
+        rows.extend(named(crate::stripe::hand::limits()));
+    } else {
+        let debug = format!("{:?}", crate::stripe::paper::hand::Settings::default());
+        rows.push(("hand stripe, the paper’s way".to_owned(), debug));
     }
     rows.extend(calibration_settings(method).into_iter().skip(1));
     rows
@@ -115,11 +121,33 @@ pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
             format!("{LOOSE_ENTRY_MM} mm, {LOOSE_AXIS_DEG}°"),
         ),
     ];
-    own.into_iter()
+    let stages = crate::board::limits()
+        .into_iter()
+        .chain(crate::stripe::board::limits())
         .chain(crate::calibration::camera::limits())
-        .chain(crate::calibration::light::limits())
+        .chain(crate::calibration::light::limits());
+    let mut rows: Vec<_> = named(own).chain(named(stages)).collect();
+    if method == Method::Paper {
+        let board = crate::stripe::paper::board::Settings::default();
+        let loss = crate::calibration::loss::Settings::default();
+        rows.push((
+            "board stripe, the paper’s way".to_owned(),
+            format!("{board:?}"),
+        ));
+        rows.push((
+            "Eq. 7 and 11, the paper’s way".to_owned(),
+            format!("{loss:?}"),
+        ));
+    }
+    rows
+}
+
+/// Names as text of their own.
+fn named(
+    rows: impl IntoIterator<Item = (&'static str, String)>,
+) -> impl Iterator<Item = (String, String)> {
+    rows.into_iter()
         .map(|(name, value)| (name.to_owned(), value))
-        .collect()
 }
 
 /// The leaves of anything that can be written as JSON, with the path to each.
