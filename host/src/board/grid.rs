@@ -160,7 +160,7 @@ fn fit(cells: &[((i32, i32), usize)], candidates: &[Candidate]) -> Option<Homogr
         .map(|c| Vector2::new(f64::from(c.0.0), f64::from(c.0.1)))
         .collect();
     let to: Vec<Vector2> = cells.iter().map(|c| position(&candidates[c.1])).collect();
-    Homography::fit(&from, &to)
+    Homography::fit(&from, &to).ok()
 }
 
 /// The place of grid point (i, j) and the steps to (i + 1, j) and (i, j + 1).

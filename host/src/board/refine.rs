@@ -278,7 +278,7 @@ impl<'a, P: Pixel> Board<'a, P> {
                 .map(|&k| Vector2::new((k % self.columns) as f64, (k / self.columns) as f64))
                 .collect();
             let to: Vec<Vector2> = near.iter().map(|&k| self.sites[k].position()).collect();
-            if let Some(map) = Homography::fit(&from, &to) {
+            if let Ok(map) = Homography::fit(&from, &to) {
                 let (p, ex, ey) = super::grid::predict(&map, column as f64, row as f64);
                 return Some((p, [ex, ey], near));
             }

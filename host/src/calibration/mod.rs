@@ -4,9 +4,9 @@
 pub mod camera;
 mod corners;
 mod finding;
-mod homography;
 pub mod light;
 pub mod loss;
+mod plane_pose;
 mod solve;
 #[cfg(test)]
 mod synthetic;

@@ -6,14 +6,14 @@
 //! solutions are tried, from the full one to a guess of f, and the one that reprojects best starts
 //! the maximum-likelihood solve.
 
-use super::homography;
-use crate::geometry::{Camera, Distortion, Matrix3, Point3, Pose, Vector2};
+use super::plane_pose;
+use crate::geometry::{Camera, Distortion, Homography, Matrix3, Point3, Pose, Vector2};
 use nalgebra::{Matrix5, SymmetricEigen, Vector5};
 
 /// A camera without distortion and the poses of the views under it, from homographies; `None` if no candidate puts every board before the
 /// camera. `plane` are the board's points, mm, `image` each view's pixels.
 pub fn start(
-    homographies: &[Matrix3],
+    homographies: &[Homography],
     plane: &[Vector2],
     image: &[&[Vector2]],
     width: u32,
@@ -72,14 +72,14 @@ pub fn start(
 /// Sum of squared reprojection errors with the poses that the homographies give.
 fn reprojection(
     camera: &Camera,
-    homographies: &[Matrix3],
+    homographies: &[Homography],
     plane: &[Vector2],
     image: &[&[Vector2]],
 ) -> Option<(f64, Vec<Pose>)> {
     let mut sum = 0.0;
     let mut poses = Vec::with_capacity(homographies.len());
     for (h, pixels) in homographies.iter().zip(image) {
-        let pose = homography::pose(h, camera)?;
+        let pose = plane_pose::pose(h, camera)?;
         for (p, q) in plane.iter().zip(*pixels) {
             let seen = camera.project(&pose.apply(&Point3::new(p.x, p.y, 0.0)))?;
             sum += (seen - q).norm_squared();
@@ -97,12 +97,12 @@ struct Equations {
 }
 
 impl Equations {
-    fn new(homographies: &[Matrix3], centre: Vector2, scale: f64) -> Self {
+    fn new(homographies: &[Homography], centre: Vector2, scale: f64) -> Self {
         let s = 1.0 / scale;
         let to = Matrix3::new(s, 0.0, -s * centre.x, 0.0, s, -s * centre.y, 0.0, 0.0, 1.0);
         let mut normal = Matrix5::zeros();
         for h in homographies {
-            let h = to * h;
+            let h = to * h.0;
             let length = (h.column(0).norm_squared() + h.column(1).norm_squared()).sqrt();
             let h = h / length;
             let v = |i: usize, j: usize| {

@@ -6,7 +6,7 @@ mod plane;
 mod pose;
 
 pub use camera::{Camera, Distortion, PARAMETERS, ProjectionJacobian};
-pub use homography::Homography;
+pub use homography::{Homography, HomographyError};
 pub use plane::{Plane, tangent_basis};
 pub use pose::Pose;
 

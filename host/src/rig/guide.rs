@@ -113,8 +113,7 @@ impl Guide {
             0.0,
             1.0,
         );
-        let (Some(h), Some(inverse)) = (Homography::fit(&flat, &pixels), camera.try_inverse())
-        else {
+        let (Ok(h), Some(inverse)) = (Homography::fit(&flat, &pixels), camera.try_inverse()) else {
             return none;
         };
         // K⁻¹·H = [r1 r2 t] up to scale; the normal is r1 × r2, away from the camera.

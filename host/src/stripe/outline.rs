@@ -27,7 +27,7 @@ impl Outline {
         let grid: Vec<Vector2> = (0..corners.len())
             .map(|i| Vector2::new((i % columns) as f64, (i / columns) as f64))
             .collect();
-        let map = Homography::fit(&grid, corners)?;
+        let map = Homography::fit(&grid, corners).ok()?;
         // Lens distortion bends the grid by a few pixels, a wrong order of corners by squares.
         let square = (corners[1] - corners[0]).norm();
         let misfit = grid

@@ -2,7 +2,7 @@
 
 use crate::board::Corner;
 use crate::calibration::finding::{Cause, Finding, Severity};
-use crate::geometry::{Camera, Matrix3, PARAMETERS, Pose, Vector2, Vector3};
+use crate::geometry::{Camera, Homography, PARAMETERS, Pose, Vector2, Vector3};
 use nalgebra::SMatrix;
 
 /// A view whose residuals are this many times the median view's is left out.
@@ -26,7 +26,7 @@ const WARN_RMS_PX: f64 = 1.0;
 /// Which views' corners are a plane's image at all: the residuals of a homography, which a lens
 /// bends by a few pixels and a wrong order of corners by many.
 pub fn homographies_fit(
-    homographies: &[Option<Matrix3>],
+    homographies: &[Option<Homography>],
     plane: &[Vector2],
     pixels: &[Vec<Vector2>],
 ) -> Vec<bool> {
@@ -38,10 +38,7 @@ pub fn homographies_fit(
             let sum: f64 = plane
                 .iter()
                 .zip(pixels)
-                .map(|(p, q)| {
-                    let seen = h * Vector3::new(p.x, p.y, 1.0);
-                    (seen.xy() / seen.z - q).norm_squared()
-                })
+                .map(|(p, q)| (h.apply(p) - q).norm_squared())
                 .sum();
             (sum / pixels.len().max(1) as f64).sqrt()
         })

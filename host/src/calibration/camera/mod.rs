@@ -11,9 +11,9 @@ pub use gate::limits;
 use super::corners::{CornerView, Residuals};
 use super::finding::{Finding, Severity, refusals};
 use super::solve::{Block, Problem, Stop, minimise};
-use super::{homography, zhang};
+use super::{plane_pose, zhang};
 use crate::board::{BoardGeometry, Corner};
-use crate::geometry::{Camera, Matrix3, PARAMETERS, Pose, Vector2};
+use crate::geometry::{Camera, Homography, PARAMETERS, Pose, Vector2};
 use nalgebra::SMatrix;
 
 /// Views that the solve needs: two give as many equations as unknowns and no check.
@@ -167,7 +167,7 @@ struct Input {
     corners: Vec<CornerView>,
     plane: Vec<Vector2>,
     pixels: Vec<Vec<Vector2>>,
-    homographies: Vec<Option<Matrix3>>,
+    homographies: Vec<Option<Homography>>,
     width: u32,
     height: u32,
 }
@@ -218,7 +218,7 @@ impl Input {
             .collect();
         let homographies = pixels
             .iter()
-            .map(|image| homography::estimate(&plane, image))
+            .map(|image| Homography::fit(&plane, image).ok())
             .collect();
         Ok(Self {
             corners,
@@ -267,7 +267,7 @@ fn solve(input: &Input, used: &[bool], start: Option<Camera>) -> Result<Solved, 
     let known = start.and_then(|camera| {
         let poses = pixels
             .iter()
-            .map(|p| homography::pose_through(&camera, &input.plane, p))
+            .map(|p| plane_pose::pose_through(&camera, &input.plane, p))
             .collect::<Option<Vec<_>>>()?;
         Some((camera, poses))
     });
@@ -341,7 +341,7 @@ fn finish(
         let pose = if used[i] {
             next.next()
         } else {
-            homography::pose_through(&camera, &input.plane, &input.pixels[i])
+            plane_pose::pose_through(&camera, &input.plane, &input.pixels[i])
         };
         let pose = pose.unwrap_or(Pose {
             rotation: nalgebra::Rotation3::identity(),

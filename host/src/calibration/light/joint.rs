@@ -12,7 +12,7 @@ use crate::calibration::camera::{
 };
 use crate::calibration::corners::{CornerView, Residuals};
 use crate::calibration::finding::Severity;
-use crate::calibration::homography::pose_through;
+use crate::calibration::plane_pose::pose_through;
 use crate::calibration::solve::{Block, Cholesky, POSE, Problem, Stop, System, minimise};
 use crate::calibration::{Covariance, LightModel, PARAMETERS};
 use crate::geometry::{Camera, PARAMETERS as CAMERA, Pose};

@@ -143,7 +143,7 @@ fn to_camera(
     let mut strands = Vec::new();
     for (view, (seen, pose)) in views.iter().zip(poses).enumerate() {
         let corners: Vec<Vector2> = seen.corners.iter().map(|c| c.pixel).collect();
-        let Some(to_board) = Homography::fit(&corners, &on_board) else {
+        let Ok(to_board) = Homography::fit(&corners, &on_board) else {
             continue;
         };
         for stripe in seen.stripes.iter().filter(|s| s.points.len() >= 2) {

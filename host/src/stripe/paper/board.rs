@@ -5,7 +5,7 @@
 
 use super::{thinning, to_gray};
 use crate::board::BoardGeometry;
-use crate::geometry::{Homography, Matrix2, Vector2};
+use crate::geometry::{Homography, HomographyError, Matrix2, Vector2};
 use crate::image::{Image, Pixel};
 use crate::stripe::StripePoint;
 use ::image::{GrayImage, Luma};
@@ -44,8 +44,20 @@ impl Default for Settings {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
     /// The corners determine no homography.
-    #[error("the board's corners determine no homography")]
-    NoHomography,
+    #[error("the board's corners: {0}")]
+    NoHomography(#[from] HomographyError),
+    /// Squares too small to hold a stripe, or no corners.
+    #[error(
+        "{given} corners of a board of {columns} × {rows} with squares of 4 pixels or more are needed"
+    )]
+    Corners {
+        /// Corners given.
+        given: usize,
+        /// Inner corners along the long side.
+        columns: usize,
+        /// Inner corners along the short side.
+        rows: usize,
+    },
     /// Too few squares passed the screenings.
     #[error(
         "the paper's way found the stripe in {squares} of the board's squares (of {side_px:.0} pixels) where 2 or more are needed: {}",
@@ -86,11 +98,15 @@ pub fn extract<P: Pixel>(
     settings: &Settings,
 ) -> Result<Vec<StripePoint>, Error> {
     // Rectified pixels: a square keeps about the size that it has in the image.
-    let side = square_side(corners, board).ok_or(Error::NoHomography)?;
+    let side = square_side(corners, board).ok_or(Error::Corners {
+        given: corners.len(),
+        columns: board.columns,
+        rows: board.rows,
+    })?;
     let grid: Vec<Vector2> = (0..board.corners())
         .map(|i| Vector2::new((i % board.columns) as f64, (i / board.columns) as f64) * side)
         .collect();
-    let to_image = Homography::fit(&grid, corners).ok_or(Error::NoHomography)?;
+    let to_image = Homography::fit(&grid, corners)?;
     let width = ((board.columns - 1) as f64 * side).floor() as u32 + 1;
     let height = ((board.rows - 1) as f64 * side).floor() as u32 + 1;
     let rectify = |image: &Image<P>| {
