@@ -34,4 +34,6 @@ pub mod session;
 pub mod simd;
 pub mod simulation;
 pub mod stripe;
+#[cfg(test)]
+mod synthetic;
 pub mod uf2;

@@ -209,32 +209,15 @@ fn huber(d2: f64) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::calibration::solve::moved;
-    use crate::geometry::{Distortion, Matrix2};
+    use crate::geometry::Matrix2;
+    use crate::synthetic::{BOARD, camera};
     use nalgebra::Rotation3;
 
     /// The gradient (outliers included) against central differences of the cost.
     #[test]
     fn gradient_agrees_with_differences() {
-        let board = BoardGeometry {
-            columns: 8,
-            rows: 6,
-            square_mm: 10.0,
-        };
-        let camera = Camera {
-            width: 1280,
-            height: 960,
-            fx: 2200.0,
-            fy: 2190.0,
-            u0: 630.0,
-            v0: 470.0,
-            distortion: Distortion {
-                k1: -0.14,
-                k2: 0.05,
-                p1: 1e-3,
-                p2: -5e-4,
-                k3: 0.1,
-            },
-        };
+        let board = BOARD;
+        let camera = camera();
         let pose = Pose {
             rotation: Rotation3::new(Vector3::new(0.3, -0.2, 1.1)),
             translation: Vector3::new(-10.0, -40.0, 430.0),

@@ -189,23 +189,12 @@ fn bend(a: &Point3, b: &Point3, c: &Point3) -> (f64, [RowVector3<f64>; 3]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn camera() -> Camera {
-        Camera {
-            width: 1280,
-            height: 960,
-            fx: 2200.0,
-            fy: 2204.0,
-            u0: 630.0,
-            v0: 480.0,
-            distortion: Default::default(),
-        }
-    }
+    use crate::synthetic::pinhole;
 
     /// A stripe on the plane, its points pushed off by a known pattern, and its true pixels.
     fn stripe() -> (Plane, Vec<Vector2>, Vec<Point3>) {
         let plane = Plane::new(Vector3::new(0.02, -0.87, 0.48), -190.0).unwrap();
-        let camera = camera();
+        let camera = pinhole();
         let mut pixels = Vec::new();
         let mut points = Vec::new();
         for i in 0..60 {
@@ -246,18 +235,18 @@ mod tests {
     #[test]
     fn both_losses_bring_points_to_their_ray_and_nearer_to_their_plane() {
         let (plane, pixels, start) = stripe();
-        let before = measure(&camera(), &pixels, &start, &plane);
+        let before = measure(&pinhole(), &pixels, &start, &plane);
         for straight in [true, false] {
             let mut points = start.clone();
             minimise(
-                &camera(),
+                &pinhole(),
                 &pixels,
                 &mut points,
                 &plane,
                 straight,
                 &Settings::default(),
             );
-            let after = measure(&camera(), &pixels, &points, &plane);
+            let after = measure(&pinhole(), &pixels, &points, &plane);
             assert!(before.reprojection_px2 > 0.1);
             assert!(after.reprojection_px2 < 1e-9, "{after:?}");
             assert!(after.plane_mm < before.plane_mm);
@@ -276,11 +265,11 @@ mod tests {
             .collect();
         let pixels: Vec<Vector2> = points
             .iter()
-            .map(|p| camera().project(p).unwrap())
+            .map(|p| pinhole().project(p).unwrap())
             .collect();
         let start = points.clone();
         minimise(
-            &camera(),
+            &pinhole(),
             &pixels,
             &mut points,
             &plane,

@@ -8,8 +8,6 @@ pub mod light;
 pub mod loss;
 mod plane_pose;
 mod solve;
-#[cfg(test)]
-mod synthetic;
 mod zhang;
 
 pub use finding::{Cause, Finding, Severity};

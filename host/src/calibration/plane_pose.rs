@@ -58,19 +58,12 @@ pub fn pose_through(camera: &Camera, plane: &[Vector2], pixels: &[Vector2]) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Distortion, Point3};
+    use crate::geometry::Point3;
+    use crate::synthetic::pinhole;
 
     #[test]
     fn gives_the_pose_back() {
-        let camera = Camera {
-            width: 1280,
-            height: 960,
-            fx: 2200.0,
-            fy: 2190.0,
-            u0: 630.0,
-            v0: 470.0,
-            distortion: Distortion::default(),
-        };
+        let camera = pinhole();
         let truth = Pose {
             rotation: Rotation3::new(Vector3::new(2.8, 0.3, 0.4)), // from behind: z of any sign
             translation: Vector3::new(-30.0, 20.0, 440.0),

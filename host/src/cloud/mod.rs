@@ -102,34 +102,7 @@ pub fn triangulate(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::{Covariance, LightModel};
-    use crate::geometry::{Camera, Distortion};
-
-    pub(super) fn rig() -> RigModel {
-        RigModel {
-            camera: Camera {
-                width: 1280,
-                height: 960,
-                fx: 2197.8,
-                fy: 2204.8,
-                u0: 626.6,
-                v0: 487.3,
-                distortion: Distortion {
-                    k1: -0.144,
-                    k2: -0.039,
-                    p1: -0.0006,
-                    p2: -0.0003,
-                    k3: -0.295,
-                },
-            },
-            light: LightModel {
-                normal: Vector3::new(0.0238, -0.8793, 0.4757).normalize(),
-                a: -0.99993,
-                b: -189.508,
-            },
-            covariance: Covariance::zeros(),
-        }
-    }
+    use crate::synthetic::rig;
 
     fn stripe_point(pixel: Vector2, variance: f64) -> StripePoint {
         StripePoint {

@@ -211,24 +211,7 @@ impl Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn camera() -> Camera {
-        Camera {
-            width: 1280,
-            height: 960,
-            fx: 2197.8,
-            fy: 2204.8,
-            u0: 626.6,
-            v0: 487.3,
-            distortion: Distortion {
-                k1: -0.144,
-                k2: -0.039,
-                p1: -0.0006,
-                p2: -0.0003,
-                k3: -0.295,
-            },
-        }
-    }
+    use crate::synthetic::camera;
 
     #[test]
     fn a_ray_goes_back_to_its_pixel() {

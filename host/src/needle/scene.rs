@@ -3,54 +3,11 @@
 
 use super::EntryRequest;
 use super::plane::Cell;
-use crate::calibration::{Covariance, LightModel, RigModel};
+use crate::calibration::RigModel;
 use crate::cloud::{CloudPoint, triangulate};
-use crate::geometry::{Camera, Distortion, Point3, Vector2, Vector3};
+use crate::geometry::{Point3, Vector2, Vector3};
 use crate::stripe::StripePoint;
-
-/// SplitMix64: reproducible noise.
-pub struct Noise(pub u64);
-
-impl Noise {
-    pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn normal(&mut self) -> f64 {
-        let (u, v) = (self.uniform().max(1e-300), self.uniform());
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-    }
-}
-
-pub fn rig() -> RigModel {
-    RigModel {
-        camera: Camera {
-            width: 1280,
-            height: 960,
-            fx: 2197.8,
-            fy: 2204.8,
-            u0: 626.6,
-            v0: 487.3,
-            distortion: Distortion {
-                k1: -0.144,
-                k2: -0.039,
-                p1: -0.0006,
-                p2: -0.0003,
-                k3: -0.295,
-            },
-        },
-        light: LightModel {
-            normal: Vector3::new(0.0238, -0.8793, 0.4757).normalize(),
-            a: -0.99993,
-            b: -189.508,
-        },
-        covariance: Covariance::zeros(),
-    }
-}
+use crate::synthetic::Noise;
 
 pub struct Hand {
     origin: Point3,

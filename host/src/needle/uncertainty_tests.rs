@@ -1,7 +1,8 @@
 use super::*;
 use crate::calibration::Covariance;
-use crate::needle::scene::{Hand, Noise, cloud, rig};
+use crate::needle::scene::{Hand, cloud};
 use crate::needle::{Settings, decide};
+use crate::synthetic::{Noise, rig};
 
 /// A covariance of the size that a good calibration has, with correlations.
 fn covariance() -> Covariance {

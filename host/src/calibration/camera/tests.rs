@@ -1,7 +1,7 @@
 use super::*;
 use crate::calibration::finding::Cause;
-use crate::calibration::synthetic::{BOARD, Noise, camera, corners, pose_at, poses};
 use crate::geometry::{Matrix2, Vector3};
+use crate::synthetic::{BOARD, Noise, camera, corners, pose_at, poses};
 use nalgebra::DMatrix;
 
 fn views(poses: &[Pose], sigma: f64, noise: &mut Noise) -> Vec<Vec<Corner>> {
@@ -316,7 +316,7 @@ fn thirteen_views_of_an_unlike_camera() {
             rng.between(-0.3, 0.3),
         );
         let pose = pose_at(&wide, pixel, rng.between(130.0, 220.0), turn);
-        if crate::calibration::synthetic::visible(&wide, &pose) {
+        if crate::synthetic::visible(&wide, &pose) {
             views.push(corners(&wide, &pose, 0.1, &mut rng));
         }
     }

@@ -259,27 +259,13 @@ mod tests {
     use crate::calibration::light::BoardStripe;
     use crate::geometry::{Distortion, Matrix2};
     use crate::stripe::StripePoint;
+    use crate::synthetic::{self, BOARD};
     use nalgebra::Rotation3;
 
     fn rig(distortion: Distortion) -> (Camera, LightModel, BoardGeometry, Vec<Pose>) {
         let camera = Camera {
-            width: 1280,
-            height: 960,
-            fx: 2198.0,
-            fy: 2205.0,
-            u0: 627.0,
-            v0: 487.0,
             distortion,
-        };
-        let light = LightModel {
-            normal: Vector3::new(0.024, -0.874, 0.486).normalize(),
-            a: -0.9999,
-            b: -189.5,
-        };
-        let board = BoardGeometry {
-            columns: 8,
-            rows: 6,
-            square_mm: 10.0,
+            ..synthetic::camera()
         };
         let poses = [(0.2, -0.1, 0.1), (-0.3, 0.2, 0.0), (0.1, 0.35, -0.2)]
             .map(|(x, y, z)| Pose {
@@ -287,7 +273,7 @@ mod tests {
                 translation: Vector3::new(-35.0, -25.0, 425.0 + 40.0 * x),
             })
             .to_vec();
-        (camera, light, board, poses)
+        (camera, synthetic::light(), BOARD, poses)
     }
 
     /// Exact stripe pixels on each board: points of the board's plane that lie on the light plane.

@@ -5,10 +5,8 @@ use crate::calibration::PARAMETERS;
 use crate::calibration::camera;
 use crate::calibration::finding::{Cause, Severity};
 use crate::calibration::solve::{Block, POSE, moved};
-use crate::calibration::synthetic::{
-    BOARD, Noise, StripeErrors, corners, light, light_poses, poses, stripe,
-};
 use crate::geometry::tangent_basis;
+use crate::synthetic::{BOARD, Noise, StripeErrors, corners, light, light_poses, poses, stripe};
 use nalgebra::SVector;
 
 const EXACT: StripeErrors = StripeErrors {
@@ -32,7 +30,7 @@ fn session(
     errors: &StripeErrors,
     noise: &mut Noise,
 ) -> Session {
-    let camera = crate::calibration::synthetic::camera();
+    let camera = crate::synthetic::camera();
     Session {
         camera_views: camera_poses
             .iter()
@@ -53,7 +51,7 @@ fn session(
 
 fn standard(seed: u64, corner_px: f64, errors: &StripeErrors) -> Session {
     let mut noise = Noise(seed);
-    let camera = crate::calibration::synthetic::camera();
+    let camera = crate::synthetic::camera();
     let camera_poses = poses(&camera, 15, 0.6, &mut noise);
     let board_poses = light_poses(&camera, 9, &mut noise);
     let slide: Vec<f64> = (0..13).map(|i| 5.0 * f64::from(i)).collect();
@@ -92,7 +90,7 @@ fn solve_with(
 fn errors(found: &LightCalibration) -> SVector<f64, PARAMETERS> {
     let (p, q) = (
         found.camera.parameters(),
-        crate::calibration::synthetic::camera().parameters(),
+        crate::synthetic::camera().parameters(),
     );
     // The normal's error in the frame of the covariance: that of the normal found.
     let t = tangent_basis(&found.model.normal).transpose() * (found.model.normal - light().normal);
@@ -118,7 +116,7 @@ fn causes(result: Result<LightCalibration, LightError>) -> Vec<Cause> {
 #[test]
 fn gradient_agrees_with_differences() {
     let mut noise = Noise(1);
-    let camera = crate::calibration::synthetic::camera();
+    let camera = crate::synthetic::camera();
     let pose = light_poses(&camera, 1, &mut noise)[0];
     let wide = StripeErrors {
         centre: 0.1,
@@ -429,7 +427,7 @@ fn without_variety_there_is_no_plane() {
         })
     ));
     let mut noise = Noise(9);
-    let camera = crate::calibration::synthetic::camera();
+    let camera = crate::synthetic::camera();
     let camera_poses = poses(&camera, 15, 0.6, &mut noise);
     let board_pose = light_poses(&camera, 1, &mut noise)[0];
     let slide: Vec<f64> = (0..13).map(|i| 5.0 * f64::from(i)).collect();
@@ -536,7 +534,7 @@ fn a_camera_calibrated_before_serves() {
 /// which the light plane crosses it; dense Gauss–Newton with derivatives by differences.
 #[test]
 fn agrees_with_a_dense_solver() {
-    let camera = crate::calibration::synthetic::camera();
+    let camera = crate::synthetic::camera();
     let mut noise = Noise(12);
     let camera_poses = poses(&camera, 4, 0.6, &mut noise);
     let board_poses = light_poses(&camera, 3, &mut noise);

@@ -1,8 +1,8 @@
-//! Made-up rigs with known truth, for the tests of the calibration: exact projections plus noise.
+//! Made-up rigs with known truth, for tests and benches: exact projections plus noise.
 
-use super::LightModel;
-use super::light::BoardStripe;
 use crate::board::{BoardGeometry, Corner};
+use crate::calibration::light::BoardStripe;
+use crate::calibration::{Covariance, LightModel, RigModel};
 use crate::geometry::{Camera, Distortion, Matrix2, Point3, Pose, Vector2, Vector3};
 use crate::stripe::StripePoint;
 use nalgebra::Rotation3;
@@ -35,6 +35,7 @@ pub const BOARD: BoardGeometry = BoardGeometry {
     square_mm: 10.0,
 };
 
+/// The made-up rig's camera.
 pub fn camera() -> Camera {
     Camera {
         width: 1280,
@@ -50,6 +51,23 @@ pub fn camera() -> Camera {
             p2: -0.0003,
             k3: -0.295,
         },
+    }
+}
+
+/// The same without distortion.
+pub fn pinhole() -> Camera {
+    Camera {
+        distortion: Distortion::default(),
+        ..camera()
+    }
+}
+
+/// Camera and light planes, known exactly.
+pub fn rig() -> RigModel {
+    RigModel {
+        camera: camera(),
+        light: light(),
+        covariance: Covariance::zeros(),
     }
 }
 
