@@ -262,20 +262,21 @@ pub fn decide(
             limit_deg: limits.obliquity.to_degrees(),
         });
     }
-    let meet = |surface: &Surface, ray: &Vector3| -> Option<Point3> {
-        if paper {
-            plane.meet(ray)
-        } else {
-            surface.meet(ray, Interpolation::Cubic).ok()
-        }
-    };
     let rays: Vec<Vector3> = request
         .vein
         .iter()
         .filter_map(|p| rig.camera.ray(p))
         .collect();
-    let on = |surface| -> Vec<Point3> { rays.iter().filter_map(|r| meet(surface, r)).collect() };
-    let (vein, course) = (on(&surface), on(&broad));
+    let on = |surface: &Surface| -> Vec<Point3> {
+        let met = |ray| surface.meet(ray, Interpolation::Cubic).ok();
+        rays.iter().filter_map(met).collect()
+    };
+    let (vein, course) = if paper {
+        let met: Vec<Point3> = rays.iter().filter_map(|ray| plane.meet(ray)).collect();
+        (met.clone(), met)
+    } else {
+        (on(&surface), on(&broad))
+    };
     let line = axis::line(&course).ok_or(NeedleError::NoVein {
         met: course.len(),
         given: request.vein.len(),
