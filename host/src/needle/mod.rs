@@ -444,7 +444,7 @@ mod tests {
     /// Points of z = z₀ + h(x) under a light plane that travels along y, every 1 mm; the vein runs
     /// along x.
     fn decision(h: impl Fn(f64) -> f64) -> Decision {
-        let mut rig = scene::rig();
+        let mut rig = crate::synthetic::rig();
         rig.light = LightModel {
             normal: Vector3::new(0.0, 0.8, 0.6),
             ..rig.light
