@@ -26,6 +26,8 @@ const BIN: usize = 4;
 const LEAST: usize = 24;
 /// Shortest side of a square, px, without an image to subtract.
 const SMALL: f64 = 30.0;
+/// How far beside the board a stripe is looked for once there is none on it, squares.
+const BESIDE: f64 = 3.0;
 /// A slope above which rows are measured rather than columns.
 const STEEP: f64 = 1.2;
 
@@ -85,10 +87,13 @@ pub fn extract<P: Pixel>(
         return upright.map(|(points, _)| points);
     }
     let turned: Vec<Vector2> = corners.iter().map(|c| Vector2::new(c.y, c.x)).collect();
-    let outline = Outline::new(&turned, columns, rows).ok_or(bad)?;
-    let on = super::transposed(on);
-    let off = off.map(super::transposed);
-    match (in_columns(&on, off.as_ref(), &outline), upright) {
+    let outline_turned = Outline::new(&turned, columns, rows).ok_or(bad)?;
+    let on_turned = super::transposed(on);
+    let off_turned = off.map(super::transposed);
+    match (
+        in_columns(&on_turned, off_turned.as_ref(), &outline_turned),
+        upright,
+    ) {
         (Ok((mut points, _)), _) => {
             for p in &mut points {
                 p.pixel = Vector2::new(p.pixel.y, p.pixel.x);
@@ -96,8 +101,19 @@ pub fn extract<P: Pixel>(
             }
             Ok(points)
         }
+        (Err(_), Err(none @ StripeError::NoStripe { .. })) => {
+            let squares = beside(on, off, &outline)
+                .or_else(|| beside(&on_turned, off_turned.as_ref(), &outline_turned));
+            Err(squares.map_or(none, |squares| StripeError::Beside { squares }))
+        }
         (Err(_), upright) => upright.map(|(points, _)| points),
     }
+}
+
+/// How far beside a board without a stripe one runs, squares.
+fn beside<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, outline: &Outline) -> Option<f64> {
+    let (points, _) = in_columns(on, off, &outline.widened(BESIDE)?).ok()?;
+    outline.beyond(&points.get(points.len() / 2)?.pixel)
 }
 
 /// [`extract`] with one centre a column; also the line's slope.

@@ -73,6 +73,14 @@ pub enum StripeError {
         /// The least number of them.
         needed: usize,
     },
+    /// No stripe on the board, one beside it.
+    #[error(
+        "no stripe on the checkerboard, but one {squares:.1} squares beside it: move board or laser until the stripe crosses its squares"
+    )]
+    Beside {
+        /// From the edge of the outer squares, squares.
+        squares: f64,
+    },
     /// Small squares look like a stripe themselves where nothing can be subtracted.
     #[error(
         "squares of {square_px:.0} pixels are too small to tell the stripe from them without an image with the laser off (at least {least_px:.0}): record one for each board pose and name it as \"off\", or bring the board nearer"

@@ -10,6 +10,10 @@ const RIM: f64 = 0.06;
 pub(super) struct Outline {
     /// In order around the board, px.
     vertices: [Vector2; 4],
+    /// From the corners' grid (inner corner (i, j) at (i, j)) to the image.
+    map: Homography,
+    columns: f64,
+    rows: f64,
 }
 
 impl Outline {
@@ -38,14 +42,33 @@ impl Outline {
         if !(misfit < 0.5 * square) {
             return None;
         }
-        let (x0, y0) = (-1.0 + RIM, -1.0 + RIM);
-        let (x1, y1) = (columns as f64 - RIM, rows as f64 - RIM);
-        let vertices =
-            [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| map.apply(&Vector2::new(x, y)));
-        vertices
-            .iter()
-            .all(|v| v.x.is_finite() && v.y.is_finite())
-            .then_some(Self { vertices })
+        Self::around(map, columns as f64, rows as f64, -RIM)
+    }
+
+    /// The quadrilateral `margin` squares outside the outer squares.
+    fn around(map: Homography, columns: f64, rows: f64, margin: f64) -> Option<Self> {
+        let (low, x1, y1) = (-1.0 - margin, columns + margin, rows + margin);
+        let vertices = [(low, low), (x1, low), (x1, y1), (low, y1)]
+            .map(|(x, y)| map.apply(&Vector2::new(x, y)));
+        let finite = |v: &Vector2| v.x.is_finite() && v.y.is_finite();
+        vertices.iter().all(finite).then_some(Self {
+            vertices,
+            map,
+            columns,
+            rows,
+        })
+    }
+
+    /// The same board with `margin` squares of its surroundings.
+    pub fn widened(&self, margin: f64) -> Option<Self> {
+        Self::around(self.map, self.columns, self.rows, margin)
+    }
+
+    /// How far a pixel lies outside the outer squares, squares; 0 on them.
+    pub fn beyond(&self, pixel: &Vector2) -> Option<f64> {
+        let at = self.map.inverse()?.apply(pixel);
+        let out = |x: f64, end: f64| (-1.0 - x).max(x - end).max(0.0);
+        Some(out(at.x, self.columns).max(out(at.y, self.rows)))
     }
 
     /// Least and greatest column and row.
@@ -92,6 +115,10 @@ mod tests {
         let (low, high) = outline.rows(middle.x).unwrap();
         assert!(low < middle.y && middle.y < high);
         assert!(outline.rows(0.0).is_none());
+        let wide = outline.widened(2.0).unwrap();
+        assert!((wide.vertices[2] - map.apply(&Vector2::new(10.0, 8.0))).norm() < 1e-6);
+        let beyond = |x, y| outline.beyond(&map.apply(&Vector2::new(x, y))).unwrap();
+        assert!((beyond(-2.5, 3.0) - 1.5).abs() < 1e-9 && beyond(7.5, 5.5) == 0.0);
         let mut shuffled = corners.clone();
         shuffled.swap(0, 47);
         assert!(Outline::new(&shuffled, 8, 6).is_none());

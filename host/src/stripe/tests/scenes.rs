@@ -1,6 +1,8 @@
-//! What spoils a stripe on skin, one thing at a time, on drawn images whose centres are known.
+//! What spoils a stripe, one thing at a time, on drawn images whose centres are known.
 
 use super::super::hand::{self, HandSettings, Segment, Surface};
+use super::super::{StripeError, board};
+use crate::geometry::Vector2;
 use crate::image::Image;
 
 const WIDTH: usize = 400;
@@ -304,5 +306,59 @@ fn stated_variances_are_true_on_speckle() {
         assert!((0.85..1.2).contains(&found[0]), "{found:?}");
         assert!((0.75..1.35).contains(&found[1]), "{found:?}");
         assert!((0.75..1.3).contains(&found[2]), "{found:?}");
+    }
+}
+
+/// A board of 5 × 4 inner corners on a white panel; the stripe runs along or down the image, on the
+/// squares or a known way beside them.
+#[test]
+fn a_stripe_beside_the_squares_is_named_with_its_distance() {
+    const SQUARE: f64 = 22.0;
+    let (u0, v0) = (140.0, 85.0);
+    let albedo = |u: usize, v: usize| {
+        let (i, j) = (
+            ((u as f64 - u0) / SQUARE).floor(),
+            ((v as f64 - v0) / SQUARE).floor(),
+        );
+        let dark = (i + j).rem_euclid(2.0) == 0.0;
+        let on = (-1.0..5.0).contains(&i) && (-1.0..4.0).contains(&j);
+        if on && dark { 0.1 } else { 1.0 }
+    };
+    let corners: Vec<Vector2> = (0..20)
+        .map(|i| Vector2::new(u0 + SQUARE * (i % 5) as f64, v0 + SQUARE * (i / 5) as f64))
+        .collect();
+    let off = image(1, |u, v| 60.0 * albedo(u, v));
+    for down in [false, true] {
+        let said = |at: f64| {
+            let on = image(2, |u, v| {
+                let place = if down {
+                    (u as f64 - u0) / SQUARE
+                } else {
+                    (v as f64 - v0) / SQUARE
+                };
+                albedo(u, v) * (60.0 + 90.0 * gauss((place - at) * SQUARE, 1.6))
+            });
+            board::extract(&on, Some(&off), &corners, 5, 4)
+        };
+        // In the middle of a row of squares, off their borders.
+        let points = said(1.5).unwrap();
+        let place = if down { u0 } else { v0 } + 1.5 * SQUARE;
+        for p in &points {
+            let across = if down { p.pixel.x } else { p.pixel.y };
+            assert!((across - place).abs() < 0.3, "{across} for {place}");
+        }
+        for beside in [0.6, 1.3, 2.4] {
+            match said(-1.0 - beside) {
+                Err(StripeError::Beside { squares }) => {
+                    assert!((squares - beside).abs() < 0.05, "{squares} for {beside}");
+                }
+                other => panic!("{down} {beside}: {other:?}"),
+            }
+        }
+        let nothing = said(100.0);
+        assert!(
+            matches!(nothing, Err(StripeError::NoStripe { .. })),
+            "{nothing:?}"
+        );
     }
 }
