@@ -1,7 +1,7 @@
 //! What a command says: results to standard output, everything else to standard error.
 
 use crate::progress::Progress;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -158,10 +158,17 @@ impl Progress for Output {
                 fast => write!(out, "{fast:.0}"),
             };
         };
+        // Nothing is known of the rest before the first step.
+        let left = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = match state.pos() {
+                0 => write!(out, "–"),
+                _ => write!(out, "{}", HumanDuration(state.eta())),
+            };
+        };
         if let Ok(style) =
-            ProgressStyle::with_template("{msg:22} {bar:24} {pos}/{len}  {rate}/s  {eta} left")
+            ProgressStyle::with_template("{msg:22} {bar:24} {pos}/{len}  {rate}/s  {left} left")
         {
-            bar.set_style(style.with_key("rate", rate));
+            bar.set_style(style.with_key("rate", rate).with_key("left", left));
         }
         bar.set_message(stage.to_owned());
         bar.enable_steady_tick(Duration::from_millis(200));

@@ -7,7 +7,7 @@ use crate::cloud::read_ply;
 use crate::output::{CalibrationFile, read_calibration, write_whole};
 use crate::pipeline::{Method, Times, calibrate};
 use crate::report::chart::{self, Plot, figure};
-use crate::report::{calibration_section, puncture_folder, stripe_sample};
+use crate::report::{calibration_section, puncture_folder, stripe_middle, stripe_sample};
 use crate::session::Session;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ enum What {
     Calibration(Job),
     /// The cloud from above; INPUT is a folder with cloud.ply.
     Cloud(Job),
-    /// Centres and their uncertainty in a scan frame of a session.
+    /// Centres over the picture, and their uncertainty, in a scan frame of a session.
     Stripes {
         #[command(flatten)]
         job: Job,
@@ -44,6 +44,39 @@ struct Job {
     /// The picture: .svg or .png.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Width and height of the whole picture, px (640 × 420 a chart if not given).
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = pixels)]
+    size: Option<(u32, u32)>,
+    /// Words, lines and marks so many times as large; without --size the whole grows with them.
+    #[arg(long, value_name = "TIMES", value_parser = times)]
+    scale: Option<f64>,
+    /// Width on paper, mm; written into the file.
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    width: Option<f64>,
+}
+
+fn pixels(text: &str) -> Result<(u32, u32), String> {
+    let parts = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match parts {
+        Some((w, h)) if (200..=20_000).contains(&w) && (150..=20_000).contains(&h) => Ok((w, h)),
+        _ => Err("give pixels as 1600x1000, from 200x150 to 20000x20000".to_owned()),
+    }
+}
+
+fn times(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.25..=10.0).contains(&v) => Ok(v),
+        _ => Err("give a number from 0.25 to 10".to_owned()),
+    }
+}
+
+fn millimetres(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (10.0..=2000.0).contains(&v) => Ok(v),
+        _ => Err("give millimetres, 10 to 2000".to_owned()),
+    }
 }
 
 /// Runs the command.
@@ -90,7 +123,13 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     session.file().display()
                 )
             })?;
-            (job, vec![chart::centres(&sample), chart::quality(&sample)])
+            let middle = stripe_middle(&session, &sample)?;
+            let plots = vec![
+                chart::centres(&sample),
+                chart::centres(&middle),
+                chart::quality(&sample),
+            ];
+            (job, plots)
         }
         What::Puncture(job) => {
             let p = puncture_folder(&job.input)?;
@@ -99,15 +138,20 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             (job, plots)
         }
     };
-    write(&job.output, &plots)?;
+    let size = figure::Size {
+        pixels: job.size,
+        scale: job.scale,
+        width_mm: job.width,
+    };
+    write(&job.output, &plots, size)?;
     let written = serde_json::json!({ "file": job.output });
     out.result(&written, || format!("written: {}", job.output.display()))
 }
 
-fn write(path: &Path, plots: &[Plot]) -> anyhow::Result<()> {
+fn write(path: &Path, plots: &[Plot], size: figure::Size) -> anyhow::Result<()> {
     let bytes = match path.extension().and_then(|e| e.to_str()) {
-        Some("svg") => figure::svg(plots).map(String::into_bytes),
-        Some("png") => figure::png(plots),
+        Some("svg") => figure::svg(plots, size).map(String::into_bytes),
+        Some("png") => figure::png(plots, size),
         _ => {
             let text = format!("{}: give a name that ends in .svg or .png", path.display());
             return Err(BadArgument(text).into());

@@ -114,7 +114,19 @@ pub fn measurement(m: &Measurement) -> String {
         m.request.radius_mm,
         d.rms_mm,
         m.cloud.len(),
-    )
+    ) + &verdict(m)
+}
+
+/// The report's verdict in a line.
+fn verdict(m: &Measurement) -> String {
+    let words = match m.warnings.len() {
+        0 => "usable".to_owned(),
+        1 => {
+            "usable with caution: one warning (above, in result.json and in the report)".to_owned()
+        }
+        n => format!("usable with caution: {n} warnings (above, in result.json and in the report)"),
+    };
+    format!("\nverdict       {words}")
 }
 
 /// Where the time went, for `-v`.

@@ -47,6 +47,8 @@ pub struct ResultFile {
     #[serde(skip_serializing_if = "Option::is_none")]
     robot: Option<Robot>,
     method: &'static str,
+    /// "usable" or "usable with caution": `warnings` say why. (What is not usable has no result.)
+    verdict: &'static str,
     /// What is weak, a sentence each.
     pub warnings: Vec<String>,
     /// What it was measured with.
@@ -118,6 +120,8 @@ struct Plane {
     rms_mm: f64,
     stripes: usize,
     coverage: f64,
+    /// Of the cylinder that is as far from its plane.
+    bend_radius_mm: f64,
     normal_sigma_deg: f64,
     normal_covariance: [[f64; 3]; 3],
 }
@@ -144,6 +148,9 @@ struct Needle {
     axis: [f64; 3],
     angle_sigma_deg: f64,
     angle_source: AngleSource,
+    /// The same needle's angle to the plane of half the region's radius.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    angle_at_half_radius_deg: Option<f64>,
     axis_sigma_deg: f64,
     axis_covariance: [[f64; 3]; 3],
     parts_deg: Parts,
@@ -222,6 +229,7 @@ impl ResultFile {
                 rms_mm: d.rms_mm,
                 stripes: d.stripes,
                 coverage: d.coverage,
+                bend_radius_mm: d.bend_mm,
                 normal_sigma_deg: u.normal_sigma().to_degrees(),
                 normal_covariance: rows(&u.normal),
             },
@@ -242,6 +250,7 @@ impl ResultFile {
                 axis: three(&d.needle.axis),
                 angle_sigma_deg: u.angle_sigma.to_degrees(),
                 angle_source: source,
+                angle_at_half_radius_deg: d.inner_angle.map(f64::to_degrees),
                 axis_sigma_deg: u.axis_sigma().to_degrees(),
                 axis_covariance: rows(&u.axis),
                 parts_deg: parts(u.angle_parts.map(f64::to_degrees)),
@@ -249,6 +258,10 @@ impl ResultFile {
             },
             robot: robot.map(|t| Robot::new(d, t)),
             method: method.name(),
+            verdict: match m.warnings.is_empty() {
+                true => "usable",
+                false => "usable with caution",
+            },
             warnings: m.warnings.clone(),
             provenance: None,
             seconds: BTreeMap::new(),

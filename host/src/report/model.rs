@@ -250,6 +250,8 @@ pub struct StripeSample {
     pub image: Gray,
     /// Pixel of the frame at the piece's top left.
     pub origin: [f64; 2],
+    /// Pixels of the frame to a pixel of the piece: more than one where it is shown smaller.
+    pub side: f64,
     /// The centres of the whole stripe, in the frame: u, v, standard deviation across, quality.
     pub centres: Vec<[f64; 4]>,
 }

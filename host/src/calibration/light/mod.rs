@@ -17,6 +17,7 @@ mod check;
 mod gate;
 mod joint;
 pub mod paper;
+pub mod published;
 mod start;
 mod strand;
 pub mod tables;

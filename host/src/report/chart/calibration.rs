@@ -37,6 +37,7 @@ fn image_axes(c: &Calibration, title: String) -> Plot {
         y_label: "v / px".into(),
         x_range: Some((0.0, f64::from(c.size[0]))),
         y_range: Some((f64::from(c.size[1]), 0.0)),
+        equal: true,
         ..Plot::default()
     }
 }

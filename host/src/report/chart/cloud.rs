@@ -37,6 +37,7 @@ pub fn cloud(points: &[[f32; 3]], entry: Option<[f64; 3]>) -> Plot {
         x_label: "X / mm".into(),
         y_label: "Y / mm".into(),
         series,
+        equal: true,
         ..Plot::default()
     };
     // Y downwards, as in the image.

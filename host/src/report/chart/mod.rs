@@ -14,6 +14,7 @@ pub use cloud::cloud;
 pub use puncture::{force_by_layer, force_over_angle, forces};
 pub use stripes::{centres, quality};
 
+use super::model::Gray;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -83,6 +84,21 @@ pub struct Plot {
     pub series: Vec<Series>,
     /// Vertical lines with a word each.
     pub marks: Vec<(f64, String)>,
+    /// A unit is as long along y as along x.
+    pub equal: bool,
+    /// A picture under the series.
+    pub under: Option<Under>,
+}
+
+/// A picture in the chart's coordinates.
+#[derive(Clone, Debug, Default)]
+pub struct Under {
+    /// The picture.
+    pub image: Gray,
+    /// x and y of its top left corner.
+    pub corner: [f64; 2],
+    /// Side of a pixel.
+    pub side: f64,
 }
 
 impl Series {
@@ -105,7 +121,7 @@ impl Plot {
         {
             let area = SVGBackend::with_string(&mut out, (width, height)).into_drawing_area();
             // Writing to a string can't fail; an empty chart is what a failure would leave.
-            if self.draw(&area).is_err() {
+            if self.draw(&area, 1.0).is_err() || area.present().is_err() {
                 return String::new();
             }
         }
@@ -146,34 +162,38 @@ impl Plot {
     fn head<DB: DrawingBackend>(
         &self,
         area: &DrawingArea<DB, Shift>,
+        pen: Pen,
     ) -> Result<i32, DrawingAreaErrorKind<DB::ErrorType>> {
         let width = area.dim_in_pixel().0 as i32;
-        let middle = text(16).pos(Pos::new(HPos::Center, VPos::Top));
-        area.draw(&Text::new(self.title.clone(), (width / 2, 8), middle))?;
-        let (mut x, mut y) = (64, 38);
+        let px = |length: i32| pen.px(length);
+        let middle = pen.text(16).pos(Pos::new(HPos::Center, VPos::Top));
+        area.draw(&Text::new(self.title.clone(), (width / 2, px(8)), middle))?;
+        let (mut x, mut y) = (px(64), px(38));
         let mut named = false;
         for series in self.series.iter().filter(|s| !s.name.is_empty()) {
-            let style = text(13);
+            let style = pen.text(13);
             let (wide, _) = area.estimate_text_size(&series.name, &style)?;
-            let next = x + 26 + wide as i32 + 20;
+            let next = x + px(26) + wide as i32 + px(20);
             if named && next > width {
-                (x, y) = (64, y + 18);
+                (x, y) = (px(64), y + px(18));
             }
             let colour = PALETTE[series.colour % PALETTE.len()];
-            key(area, &series.kind, colour, (x, y))?;
+            key(area, &series.kind, colour, (x, y), pen)?;
             let words = style.pos(Pos::new(HPos::Left, VPos::Center));
-            area.draw(&Text::new(series.name.clone(), (x + 24, y), words))?;
-            x += 26 + wide as i32 + 20;
+            area.draw(&Text::new(series.name.clone(), (x + px(24), y), words))?;
+            x += px(26) + wide as i32 + px(20);
             named = true;
         }
-        Ok(if named { y + 12 } else { 30 })
+        Ok(if named { y + px(12) } else { px(30) })
     }
 
-    /// Draws on any backend.
+    /// Draws on any backend, everything `scale` times as large as usual.
     pub fn draw<'a, DB: DrawingBackend + 'a>(
         &self,
         area: &DrawingArea<DB, Shift>,
+        scale: f64,
     ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
+        let pen = Pen(scale);
         let bars = self.series.iter().any(|s| matches!(s.kind, Kind::Bars(_)));
         let x = self.x_range.unwrap_or_else(|| self.range(|p| p.0, false));
         let y = self.y_range.unwrap_or_else(|| {
@@ -181,13 +201,24 @@ impl Plot {
             // Room for the marks' words above the data.
             (low, high + 0.065 * self.marks.len() as f64 * (high - low))
         });
-        let head = self.head(area)?;
+        let head = self.head(area, pen)?;
         let (_, body) = area.split_vertically(head);
+        let (margin, right, below, beside) = (pen.px(6), pen.px(16), pen.px(44), pen.px(64));
+        let (x, y) = if self.equal {
+            let (w, h) = body.dim_in_pixel();
+            let (w, h) = (
+                w as i32 - margin - right - beside,
+                h as i32 - 2 * margin - below,
+            );
+            equal(x, y, f64::from(w.max(1)), f64::from(h.max(1)))
+        } else {
+            (x, y)
+        };
         let mut chart = ChartBuilder::on(&body)
-            .margin(6)
-            .margin_right(16)
-            .x_label_area_size(44)
-            .y_label_area_size(64)
+            .margin(margin)
+            .margin_right(right)
+            .x_label_area_size(below)
+            .y_label_area_size(beside)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
         let (fx, fy) = (label_format(x), label_format(y));
         chart
@@ -195,8 +226,8 @@ impl Plot {
             .axis_style(INK)
             .bold_line_style(GRID)
             .light_line_style(TRANSPARENT)
-            .label_style(text(13))
-            .axis_desc_style(text(14))
+            .label_style(pen.text(13))
+            .axis_desc_style(pen.text(14))
             .x_desc(&self.x_label)
             .y_desc(&self.y_label)
             .x_label_formatter(&|v| fx(*v))
@@ -204,6 +235,11 @@ impl Plot {
             .x_labels(7)
             .y_labels(6)
             .draw()?;
+        if let Some(under) = &self.under {
+            chart.draw_series(under.runs().map(|(from, to, grey)| {
+                Rectangle::new([from, to], RGBColor(grey, grey, grey).filled())
+            }))?;
+        }
         for series in &self.series {
             let colour = PALETTE[series.colour % PALETTE.len()];
             let points = || {
@@ -213,26 +249,26 @@ impl Plot {
                     .copied()
                     .filter(|p| p.0.is_finite() && p.1.is_finite())
             };
-            let style = colour.stroke_width(2);
+            let style = colour.stroke_width(pen.px(2) as u32);
+            let dash = (pen.px(6), pen.px(4));
             match series.kind {
                 Kind::Line => chart.draw_series(LineSeries::new(points(), style))?,
-                Kind::Dashed => chart.draw_series(DashedLineSeries::new(points(), 6, 4, style))?,
-                Kind::Dots => {
-                    chart.draw_series(points().map(|p| Circle::new(p, 3, colour.filled())))?
+                Kind::Dashed => {
+                    chart.draw_series(DashedLineSeries::new(points(), dash.0, dash.1, style))?
                 }
-                Kind::Points => {
-                    chart.draw_series(points().map(|p| Circle::new(p, 1, colour.filled())))?
+                Kind::Dots => chart
+                    .draw_series(points().map(|p| Circle::new(p, pen.px(3), colour.filled())))?,
+                Kind::Points => chart
+                    .draw_series(points().map(|p| Circle::new(p, pen.px(1), colour.filled())))?,
+                Kind::Crosses => {
+                    chart.draw_series(points().map(|p| Cross::new(p, pen.px(4), style)))?
                 }
-                Kind::Crosses => chart.draw_series(points().map(|p| Cross::new(p, 4, style)))?,
                 Kind::Bars(w) => chart.draw_series(points().map(|(x, y)| {
                     Rectangle::new([(x - w / 2.0, 0.0), (x + w / 2.0, y)], colour.filled())
                 }))?,
-                Kind::Segments => chart.draw_series(
-                    series
-                        .points
-                        .chunks_exact(2)
-                        .map(|p| PathElement::new(p.to_vec(), colour.stroke_width(1))),
-                )?,
+                Kind::Segments => chart.draw_series(series.points.chunks_exact(2).map(|p| {
+                    PathElement::new(p.to_vec(), colour.stroke_width(pen.px(1) as u32))
+                }))?,
                 Kind::Area => chart.draw_series(std::iter::once(Polygon::new(
                     points().collect::<Vec<_>>(),
                     colour.mix(0.2).filled(),
@@ -243,24 +279,75 @@ impl Plot {
         for (row, (at, word)) in self.marks.iter().filter(|m| inside(m.0)).enumerate() {
             chart.draw_series(std::iter::once(PathElement::new(
                 vec![(*at, y.0), (*at, y.1)],
-                INK.mix(0.6).stroke_width(1),
+                INK.mix(0.6).stroke_width(pen.px(1) as u32),
             )))?;
             // Words one under the other, on the side where there is room.
             let right = (at - x.0) / (x.1 - x.0) > 0.6;
             let side = if right { HPos::Right } else { HPos::Left };
-            let style = text(12).pos(Pos::new(side, VPos::Top));
-            let shift = (if right { -4 } else { 4 }, 2 + 15 * row as i32);
+            let style = pen.text(12).pos(Pos::new(side, VPos::Top));
+            let shift = (
+                pen.px(if right { -4 } else { 4 }),
+                pen.px(2 + 15 * row as i32),
+            );
             chart.draw_series(std::iter::once(
                 EmptyElement::at((*at, y.1)) + Text::new(word.clone(), shift, style),
             ))?;
         }
-        area.present()
+        // The caller presents: that ends the file, and other charts may follow in it.
+        Ok(())
     }
 }
 
-/// Words in the page's ink.
-fn text(size: u32) -> TextStyle<'static> {
-    ("sans-serif", size).into_font().color(&INK)
+/// How large everything is drawn.
+#[derive(Clone, Copy)]
+struct Pen(f64);
+
+impl Pen {
+    /// A length, px.
+    fn px(self, length: i32) -> i32 {
+        (self.0 * f64::from(length)).round() as i32
+    }
+
+    /// Words in the page's ink.
+    fn text(self, size: i32) -> TextStyle<'static> {
+        ("sans-serif", self.0 * f64::from(size))
+            .into_font()
+            .color(&INK)
+    }
+}
+
+/// Two ranges widened about their middles until a unit is as long along y as along x in an area of
+/// `wide` by `high` pixels. A range that runs downwards goes on doing so.
+fn equal(x: (f64, f64), y: (f64, f64), wide: f64, high: f64) -> ((f64, f64), (f64, f64)) {
+    let unit = ((x.1 - x.0).abs() / wide).max((y.1 - y.0).abs() / high);
+    let about = |(from, to): (f64, f64), pixels: f64| {
+        let (middle, half) = (0.5 * (from + to), 0.5 * unit * pixels);
+        let half = if to < from { -half } else { half };
+        (middle - half, middle + half)
+    };
+    (about(x, wide), about(y, high))
+}
+
+impl Under {
+    /// Runs of one grey along the rows: two corners and the grey, in sixteen steps. Each reaches a
+    /// pixel under the next to the right and below, so that no seam shows between them.
+    fn runs(&self) -> impl Iterator<Item = ((f64, f64), (f64, f64), u8)> + '_ {
+        let rows = self.image.pixels.chunks(self.image.width.max(1));
+        let end = [self.image.width, self.image.height];
+        let reach = move |axis: usize, k: usize| {
+            self.corner[axis] + self.side * (k + 1).min(end[axis]) as f64
+        };
+        rows.enumerate().flat_map(move |(v, row)| {
+            let top = self.corner[1] + self.side * v as f64;
+            let mut at = 0;
+            row.chunk_by(|a, b| a / 16 == b / 16).map(move |run| {
+                let place = |k: usize| self.corner[0] + self.side * k as f64;
+                let from = (place(at), top);
+                at += run.len();
+                (from, (reach(0, at), reach(1, v + 1)), run[0] / 16 * 17)
+            })
+        })
+    }
 }
 
 /// The legend's key of a series, its middle at (x + 9, y).
@@ -269,27 +356,27 @@ fn key<DB: DrawingBackend>(
     kind: &Kind,
     colour: RGBColor,
     (x, y): (i32, i32),
+    pen: Pen,
 ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
-    let style = colour.stroke_width(2);
-    let line = |from: i32, to: i32, style| {
-        area.draw(&PathElement::new(vec![(x + from, y), (x + to, y)], style))
+    let style = colour.stroke_width(pen.px(2) as u32);
+    let (px, middle) = (|length: i32| pen.px(length), (x + pen.px(9), y));
+    let line = |from: i32, to: i32| {
+        area.draw(&PathElement::new(
+            vec![(x + px(from), y), (x + px(to), y)],
+            style,
+        ))
     };
+    let corners = |from: i32, to: i32| [(x + px(from), y - px(5)), (x + px(to), y + px(5))];
     match kind {
-        Kind::Dots | Kind::Points => area.draw(&Circle::new((x + 9, y), 3, colour.filled())),
-        Kind::Crosses => area.draw(&Cross::new((x + 9, y), 4, style)),
-        Kind::Bars(_) => {
-            let corners = [(x + 4, y - 5), (x + 14, y + 5)];
-            area.draw(&Rectangle::new(corners, colour.filled()))
-        }
-        Kind::Area => {
-            let corners = [(x + 2, y - 5), (x + 16, y + 5)];
-            area.draw(&Rectangle::new(corners, colour.mix(0.2).filled()))
-        }
+        Kind::Dots | Kind::Points => area.draw(&Circle::new(middle, px(3), colour.filled())),
+        Kind::Crosses => area.draw(&Cross::new(middle, px(4), style)),
+        Kind::Bars(_) => area.draw(&Rectangle::new(corners(4, 14), colour.filled())),
+        Kind::Area => area.draw(&Rectangle::new(corners(2, 16), colour.mix(0.2).filled())),
         Kind::Dashed => {
-            line(0, 7, style)?;
-            line(11, 18, style)
+            line(0, 7)?;
+            line(11, 18)
         }
-        Kind::Line | Kind::Segments => line(0, 18, style),
+        Kind::Line | Kind::Segments => line(0, 18),
     }
 }
 
@@ -341,6 +428,32 @@ mod tests {
         }
         assert!(!svg.contains("outside") && !svg.contains("NaN"));
         assert!(!Plot::default().svg(300, 200).is_empty());
+    }
+
+    #[test]
+    fn equal_axes_have_one_unit_and_keep_their_direction() {
+        let (x, y) = equal((0.0, 10.0), (5.0, 3.0), 400.0, 200.0);
+        assert_eq!((x, y), ((0.0, 10.0), (6.5, 1.5)));
+        let (x, y) = equal((0.0, 1.0), (0.0, 10.0), 400.0, 200.0);
+        assert_eq!((x, y), ((-9.5, 10.5), (0.0, 10.0)));
+    }
+
+    #[test]
+    fn a_picture_lies_where_its_pixels_do() {
+        let under = Under {
+            image: Gray {
+                width: 3,
+                height: 2,
+                pixels: vec![0, 1, 255, 80, 80, 80],
+            },
+            corner: [9.5, 4.5],
+            side: 1.0,
+        };
+        let runs: Vec<_> = under.runs().collect();
+        assert_eq!(runs.len(), 3);
+        assert_eq!(runs[0], ((9.5, 4.5), (12.5, 6.5), 0));
+        assert_eq!(runs[1], ((11.5, 4.5), (12.5, 6.5), 255));
+        assert_eq!(runs[2], ((9.5, 5.5), (12.5, 6.5), 85));
     }
 
     #[test]

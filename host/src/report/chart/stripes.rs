@@ -1,24 +1,35 @@
 //! Quality along a stripe.
 
-use super::{Kind, Plot, Series};
+use super::{Kind, Plot, Series, Under};
 use crate::report::model::StripeSample;
+use crate::report::raster::brightened;
 
-/// The centres in the image, v downwards.
+/// The centres over the piece of the frame that the sample holds, v downwards.
 pub fn centres(s: &StripeSample) -> Plot {
-    let points: Vec<(f64, f64)> = s.centres.iter().map(|c| (c[0], c[1])).collect();
-    let mut plot = Plot {
+    // A pixel reaches half a pixel around its centre.
+    let [left, top] = s.origin.map(|x| x - 0.5);
+    let right = left + s.side * s.image.width as f64;
+    let bottom = top + s.side * s.image.height as f64;
+    let inside = |c: &&[f64; 4]| (left..right).contains(&c[0]) && (top..bottom).contains(&c[1]);
+    let points = s.centres.iter().filter(inside).map(|c| (c[0], c[1]));
+    Plot {
         title: format!(
-            "{}: centres of the stripe, slide at {:.1} mm",
+            "{}: the stripe’s centres, slide at {:.1} mm",
             s.name, s.slide_mm
         ),
         x_label: "u / px".into(),
         y_label: "v / px".into(),
-        series: vec![Series::new("", 1, Kind::Points, points)],
+        x_range: Some((left, right)),
+        y_range: Some((bottom, top)),
+        series: vec![Series::new("centre", 1, Kind::Points, points.collect())],
+        equal: true,
+        under: Some(Under {
+            image: brightened(&s.image),
+            corner: [left, top],
+            side: s.side,
+        }),
         ..Plot::default()
-    };
-    let (lo, hi) = plot.range(|p| p.1, false);
-    plot.y_range = Some((hi, lo));
-    plot
+    }
 }
 
 /// Below this quality a centre is drawn apart.

@@ -2,9 +2,9 @@
 //! beside the paper's own figures.
 
 use super::needle::parameters;
-use super::paper::{TABLE_1, TABLE_2, TABLE_3, TABLE_4};
 use super::table::table;
 use super::{chart, number, scientific};
+use crate::calibration::light::published::{TABLE_1, TABLE_2, TABLE_3, TABLE_4};
 use crate::report::chart as charts;
 use crate::report::model::{Calibration, Light, Position};
 use maud::{Markup, html};
@@ -168,7 +168,7 @@ fn table_4(c: &Calibration) -> Markup {
 
 fn offset(p: &Position) -> Vec<String> {
     let paper = TABLE_4.iter().find(|r| r.0 == p.slide_mm);
-    let of = |f: fn(&(f64, f64, f64)) -> f64| paper.map_or("–".into(), |r| number(f(r), 3));
+    let of = |f: fn(&(f64, f64, f64, f64)) -> f64| paper.map_or("–".into(), |r| number(f(r), 3));
     vec![
         number(p.slide_mm, 2),
         number(p.predicted_mm, 4),

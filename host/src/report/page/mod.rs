@@ -2,7 +2,6 @@
 
 mod calibration;
 mod needle;
-mod paper;
 mod provenance;
 mod puncture;
 mod scene;

@@ -137,12 +137,71 @@ pub fn stripe_sample(
         .transpose()?;
     let image = read(session, &frame.image)?;
     let centres = centres(&image, ambient.as_ref());
-    Ok((!centres.is_empty()).then(|| StripeSample {
-        name: frame.image.clone(),
-        slide_mm: frame.slide_mm,
+    Ok(whole(frame.slide_mm, &frame.image, &image, centres))
+}
+
+/// The same stripe at the scale of its pixels, around its middle.
+pub fn stripe_middle(
+    session: &Session,
+    whole: &StripeSample,
+) -> Result<StripeSample, SessionError> {
+    let image = read(session, &whole.name)?;
+    let at = whole.centres.get(whole.centres.len() / 2);
+    let at = at.map_or([0.0; 2], |c| [c[0], c[1]]);
+    let piece = piece(
+        whole.slide_mm,
+        &whole.name,
+        &image,
+        whole.centres.clone(),
+        at,
+    );
+    Ok(piece.unwrap_or_default())
+}
+
+/// The part of the frame around the whole stripe, shown smaller where it is large.
+fn whole(
+    slide_mm: f64,
+    name: &str,
+    image: &Image<u8>,
+    centres: Vec<[f64; 4]>,
+) -> Option<StripeSample> {
+    const MARGIN: f64 = 12.0;
+    const WIDEST: usize = 220;
+    let range = |k: usize, size: usize| {
+        let places = centres.iter().map(|c| c[k]);
+        let (lo, hi) = places.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
+        let from = (lo - MARGIN).max(0.0) as usize;
+        (from.min(size), ((hi + MARGIN) as usize + 1).min(size))
+    };
+    if centres.is_empty() {
+        return None;
+    }
+    let (u, v) = (range(0, image.width()), range(1, image.height()));
+    let step = (u.1 - u.0).div_ceil(WIDEST).max(1);
+    // The brightest of a block: a stripe two pixels wide must not vanish.
+    let block = |row: usize, column: usize| {
+        let rows = row..(row + step).min(v.1);
+        let columns = column..(column + step).min(u.1);
+        let in_row = |r: usize| image.row(r).get(columns.clone()).unwrap_or_default().iter();
+        rows.flat_map(in_row).copied().max().unwrap_or(0)
+    };
+    let rows: Vec<usize> = (v.0..v.1).step_by(step).collect();
+    let columns: Vec<usize> = (u.0..u.1).step_by(step).collect();
+    let pixels = rows
+        .iter()
+        .flat_map(|&r| columns.iter().map(move |&c| (r, c)));
+    Some(StripeSample {
+        name: name.to_owned(),
+        slide_mm,
+        image: Gray {
+            width: columns.len(),
+            height: rows.len(),
+            pixels: pixels.map(|(r, c)| block(r, c)).collect(),
+        },
+        origin: [u.0 as f64, v.0 as f64],
+        side: step as f64,
         centres,
-        ..StripeSample::default()
-    }))
+    })
 }
 
 /// Centres on the hand: u, v, σ, quality. A frame without a stripe has none.
@@ -233,6 +292,7 @@ fn piece(
             pixels,
         },
         origin: [left as f64, top as f64],
+        side: 1.0,
         centres,
     })
 }
