@@ -3,9 +3,18 @@
 
 use super::levels::Level;
 use super::response::{Peak, RADIUS};
+use std::sync::LazyLock;
 
 /// Ring samples.
 const SAMPLES: usize = 32;
+
+/// Where on the ring they lie, level pixels from its centre.
+static RING: LazyLock<[[f32; 2]; SAMPLES]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        let (sin, cos) = angle(k as f32).sin_cos();
+        [RADIUS as f32 * cos, RADIUS as f32 * sin]
+    })
+});
 
 /// A place that looks like a checker corner.
 #[derive(Clone, Copy, Debug)]
@@ -24,10 +33,8 @@ pub(super) struct Candidate {
 /// each other.
 pub(super) fn examine(level: &Level, peak: &Peak) -> Option<Candidate> {
     let mut ring = [0f32; SAMPLES];
-    for (k, value) in ring.iter_mut().enumerate() {
-        let (sin, cos) = angle(k as f32).sin_cos();
-        let r = RADIUS as f32;
-        *value = level.sample(peak.x + r * cos, peak.y + r * sin);
+    for (value, [x, y]) in ring.iter_mut().zip(*RING) {
+        *value = level.sample(peak.x + x, peak.y + y);
     }
     let raw = ring;
     for k in 0..SAMPLES {

@@ -14,7 +14,8 @@
 //! for any tilt; lens distortion bends them, hence κ. A pixel-wise gamma or clipping leaves the
 //! pattern's point symmetry, and with it the position, untouched.
 
-use super::lanes::Lanes;
+use crate::image::Pixel;
+use crate::simd::Lanes;
 use pulp::{Simd, WithSimd};
 
 /// Free parameters, in the order of [`Parameters::free`].
@@ -63,11 +64,21 @@ impl Patch {
         self.len = 0;
     }
 
+    /// Every `stride`-th pixel of a piece of a row that starts at (x, y).
     #[inline]
-    pub fn push(&mut self, x: f32, y: f32, value: f32) {
-        self.x.push(x);
-        self.y.push(y);
-        self.value.push(value);
+    pub fn append<P: Pixel>(&mut self, x: i64, y: i64, pixels: &[P], stride: usize) {
+        let before = self.value.len();
+        if stride == 1 {
+            self.value
+                .extend(pixels.iter().map(|&p| -> f32 { p.into() }));
+        } else {
+            let some = pixels.iter().step_by(stride);
+            self.value.extend(some.map(|&p| -> f32 { p.into() }));
+        }
+        let count = self.value.len() - before;
+        self.x
+            .extend((0..count).map(|i| (x + (i * stride) as i64) as f32));
+        self.y.resize(before + count, y as f32);
     }
 
     /// Pads to whole blocks and sets all weights to 1.

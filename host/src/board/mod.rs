@@ -7,7 +7,6 @@
 mod candidate;
 mod edge_model;
 mod grid;
-mod lanes;
 mod layout;
 mod levels;
 mod noise;

@@ -3,6 +3,7 @@
 
 use super::edge_model::index;
 use super::site::Site;
+use crate::simd::widest;
 
 /// Standard deviations of the residual, grey: on dark and bright flats and on the edges between.
 /// (Shot noise makes the bright noisier; a point spread that is not quite Gaussian shows on edges.)
@@ -48,12 +49,12 @@ impl Noise {
     }
 
     /// From all sites' residuals ([`Site::look`]): spread of the middle (robust), then of what lies within four of
-    /// those. Every third pixel serves.
+    /// those. Every sixth pixel serves.
     pub fn estimate(sites: &[Site]) -> Self {
         let mut groups: [Vec<f32>; 3] = Default::default();
         for site in sites {
             let sign = site.parameters.free[index::HALF].signum() as f32;
-            for i in (0..site.patch.len).step_by(3) {
+            for i in (0..site.patch.len).step_by(6) {
                 if site.patch.weight[i] > 0.0 {
                     groups[group(site.pattern[i] * sign)].push(site.residual[i].abs());
                 }
@@ -77,19 +78,21 @@ impl Noise {
         Self { dark, edge, bright }
     }
 
-    fn of(&self, pattern: f32) -> f64 {
-        [self.dark, self.edge, self.bright][group(pattern)]
-    }
-
     /// Sets the weights of a site's pixels that are not masked.
     pub fn weigh(&self, site: &mut Site) {
         let sign = site.parameters.free[index::HALF].signum() as f32;
         let inverse = [self.dark, self.edge, self.bright].map(|s| (1.0 / s) as f32);
-        for i in 0..site.patch.len {
-            if site.patch.weight[i] > 0.0 {
-                site.patch.weight[i] = inverse[group(site.pattern[i] * sign)];
-            }
-        }
+        let patch = &mut site.patch;
+        widest(
+            #[inline(always)]
+            || {
+                let weights = patch.weight[..patch.len].iter_mut();
+                for (weight, pattern) in weights.zip(&site.pattern) {
+                    let kept = pick(inverse, pattern * sign);
+                    *weight = if *weight > 0.0 { kept } else { 0.0 };
+                }
+            },
+        );
     }
 }
 
@@ -104,6 +107,13 @@ fn group(pattern: f32) -> usize {
     }
 }
 
+/// The value of `pattern`'s group.
+#[inline(always)]
+fn pick([dark, edge, bright]: [f32; 3], pattern: f32) -> f32 {
+    let flat = if pattern < 0.0 { dark } else { bright };
+    if pattern.abs() < FLAT { edge } else { flat }
+}
+
 /// Leaves out pixels that fit neither square nor edge, with their surroundings, if there are more
 /// of them than chance gives. Returns whether any were. `strict`: no slack on top of the noise.
 pub(super) fn mask_foreign(site: &mut Site, noise: &Noise, strict: bool) -> bool {
@@ -115,18 +125,29 @@ pub(super) fn mask_foreign(site: &mut Site, noise: &Noise, strict: bool) -> bool
     };
     let sign = half.signum() as f32;
     let n = site.patch.len;
-    let foreign: Vec<usize> = (0..n)
-        .filter(|&i| {
-            let limit = FOREIGN * noise.of(site.pattern[i] * sign) + slack;
-            f64::from(site.residual[i].abs()) > limit
-        })
-        .collect();
+    let limits =
+        [noise.dark, noise.edge, noise.bright].map(|sigma| (FOREIGN * sigma + slack) as f32);
+    let pixels = || site.residual[..n].iter().zip(&site.pattern[..n]);
+    let mut beyond = 0u32;
+    widest(
+        #[inline(always)]
+        || {
+            beyond = pixels()
+                .map(|(r, p)| u32::from(r.abs() > pick(limits, p * sign)))
+                .sum();
+        },
+    );
     site.patch.weight[..n].fill(1.0);
     site.masked = 0.0;
     site.darker = 0.0;
-    if (foreign.len() as f64) <= CHANCE * n as f64 {
+    if f64::from(beyond) <= CHANCE * n as f64 {
         return false;
     }
+    let foreign: Vec<usize> = pixels()
+        .enumerate()
+        .filter(|(_, (r, p))| r.abs() > pick(limits, *p * sign))
+        .map(|(i, _)| i)
+        .collect();
     let darker = foreign.iter().filter(|&&i| site.residual[i] < 0.0).count();
     site.darker = darker as f64 / foreign.len() as f64;
     // A bitmap of the patch's surroundings.

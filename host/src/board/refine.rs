@@ -19,6 +19,8 @@ pub(super) const MOST_BLUR: f64 = 0.18;
 const LEANING: f64 = 0.2;
 /// ... and with more than this it counts as hidden.
 const MOST_MASKED: f64 = 0.8;
+/// Edges at least this long, px, have pixels to spare for a first fit.
+const MANY: f64 = 8.0;
 /// Standard deviation that no covariance goes below, px: what the model leaves on clean images.
 const FLOOR: f64 = 1e-3;
 
@@ -200,10 +202,15 @@ impl<'a, P: Pixel> Board<'a, P> {
             site.place(p, sigma, 0.5 * (same + other), half);
             let short = 7.0 * self.coarseness.max(1.0);
             let reach = site.reach.map(|r| (0.45 * r).min(short));
-            site.gather(image, reach, BAND * sigma + 0.5);
-            let fitted = site.fit(8, 0.03);
+            // Every other pixel will do for a start, where there are many.
+            let shortest = reach.iter().fold(short, |a: f64, &b| a.min(b));
+            let stride = site.stride().max(if shortest < MANY { 1 } else { 2 });
+            site.gather(image, reach, BAND * sigma + 0.5, stride);
+            let fitted = site.fit(8, 0.1);
             let converged = half * sign > 0.0 && fitted.is_some();
-            site.rough = fitted.map_or(0.0, |(_, left)| (left / site.patch.len as f64).sqrt());
+            site.rough = fitted.map_or(0.0, |(_, left)| {
+                (left / site.patch.len.saturating_sub(FREE).max(1) as f64).sqrt()
+            });
             let shortest = ex.norm().min(ey.norm());
             site.sound = converged && (site.position() - p).norm() < 0.2 * shortest;
         }
@@ -303,7 +310,7 @@ impl<'a, P: Pixel> Board<'a, P> {
         site.steps = steps;
         site.place(p, sigma, mean, 0.5 * contrast * sign);
         let reach = site.clear_reach();
-        site.gather(image, reach, BAND * sigma + 1.0);
+        site.gather(image, reach, BAND * sigma + 1.0, site.stride());
         let longest = reach.iter().fold(1.0, |a: f64, &b| a.max(b));
         let prior = Prior::around(site.parameters.free, contrast, longest);
         let mut sound = true;
@@ -368,7 +375,7 @@ impl<'a, P: Pixel> Board<'a, P> {
         let rough = self.rough_noise();
         for site in &mut self.sites {
             let reach = site.clear_reach();
-            site.gather(image, reach, BAND * site.sigma() + 0.5);
+            site.gather(image, reach, BAND * site.sigma() + 0.5, site.stride());
             if site.exceeds(rough) {
                 site.look();
                 let noise = Noise::uniform((0.15 * site.contrast() / 4.5).max(rough));

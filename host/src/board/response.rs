@@ -40,29 +40,27 @@ pub(super) struct Peak {
     pub response: i16,
 }
 
-/// The response at every pixel that has a whole ring; 0 elsewhere. Same size as the level.
-pub(super) fn response(level: &Level) -> Vec<i16> {
+/// Rows whose response is held at a time: with their level they stay in the nearest caches.
+const BAND: usize = 16;
+/// Rows around a pixel that must not exceed it.
+const SIDE: usize = 2;
+
+/// The response of row `y` at every pixel that has a whole ring; 0 elsewhere.
+#[inline(always)]
+fn row(level: &Level, y: usize, out: &mut [i16]) {
     let (w, h) = (level.width, level.height);
-    let mut out = vec![0i16; w * h];
-    if w <= 2 * RADIUS || h <= 2 * RADIUS {
-        return out;
+    if y < RADIUS || y >= h - RADIUS {
+        out.fill(0);
+        return;
     }
     let n = w - 2 * RADIUS;
-    crate::simd::widest(
-        #[inline(always)]
-        || {
-            for y in RADIUS..h - RADIUS {
-                let at = |(dx, dy): (isize, isize)| {
-                    let start = (y.wrapping_add_signed(dy)) * w + RADIUS.wrapping_add_signed(dx);
-                    &level.pixels[start..start + n]
-                };
-                let ring = RING.map(at);
-                let near = [(1, 0), (-1, 0), (0, 1), (0, -1)].map(at);
-                row_response(&ring, &near, &mut out[y * w + RADIUS..y * w + RADIUS + n]);
-            }
-        },
-    );
-    out
+    let at = |(dx, dy): (isize, isize)| {
+        let start = (y.wrapping_add_signed(dy)) * w + RADIUS.wrapping_add_signed(dx);
+        &level.pixels[start..start + n]
+    };
+    let ring = RING.map(at);
+    let near = [(1, 0), (-1, 0), (0, 1), (0, -1)].map(at);
+    row_response(&ring, &near, &mut out[RADIUS..RADIUS + n]);
 }
 
 /// One row: plain 16-bit lanes, so that the compiler takes the widest registers there are. No sum
@@ -96,21 +94,38 @@ fn row_response(ring: &[&[i16]; 16], near: &[&[i16]; 4], out: &mut [i16]) {
 }
 
 /// Local maxima (5 × 5) of the response above `threshold`, the strongest `limit` of them.
-pub(super) fn peaks(level: &Level, response: &[i16], threshold: i16, limit: usize) -> Vec<Peak> {
+pub(super) fn peaks(level: &Level, threshold: i16, limit: usize) -> Vec<Peak> {
     let (w, h) = (level.width, level.height);
     let mut found = Vec::new();
     if w <= 2 * RADIUS || h <= 2 * RADIUS {
         return found;
     }
-    for y in RADIUS..h - RADIUS {
-        let row = &response[y * w..(y + 1) * w];
-        for (block, start) in row.chunks(32).zip((0..w).step_by(32)) {
-            if block.iter().fold(i16::MIN, |m, &r| m.max(r)) <= threshold {
-                continue;
-            }
-            for (i, &r) in block.iter().enumerate() {
-                if r > threshold && is_maximum(response, w, start + i, y) {
-                    found.push(refine(response, w, start + i, y));
+    let mut held = vec![0i16; (BAND + 2 * SIDE) * w];
+    for first in (RADIUS..h - RADIUS).step_by(BAND) {
+        // The band before has the first rows already.
+        let known = if first == RADIUS { 0 } else { 2 * SIDE };
+        held.copy_within(BAND * w.., 0);
+        crate::simd::widest(
+            #[inline(always)]
+            || {
+                let rows = held.chunks_exact_mut(w).enumerate().skip(known);
+                for (k, out) in rows {
+                    row(level, first - SIDE + k, out);
+                }
+            },
+        );
+        for y in 0..BAND.min(h - RADIUS - first) {
+            let row = &held[(y + SIDE) * w..(y + SIDE + 1) * w];
+            for (block, start) in row.chunks(32).zip((0..w).step_by(32)) {
+                if block.iter().fold(i16::MIN, |m, &r| m.max(r)) <= threshold {
+                    continue;
+                }
+                for (i, &r) in block.iter().enumerate() {
+                    if r > threshold && is_maximum(&held, w, start + i, y + SIDE) {
+                        let mut peak = refine(&held, w, start + i, y + SIDE);
+                        peak.y += (first - SIDE) as f32;
+                        found.push(peak);
+                    }
                 }
             }
         }

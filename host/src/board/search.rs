@@ -5,7 +5,7 @@ use super::grid::find_grids;
 use super::layout::lay_out;
 use super::levels::{Level, depth_shift};
 use super::refine::{MOST_BLUR, refine};
-use super::response::{peaks, response};
+use super::response::peaks;
 use super::{BoardGeometry, Detection, NotFound};
 use crate::image::{Image, Pixel};
 
@@ -122,7 +122,7 @@ impl<P: Pixel> Search<'_, P> {
         if level.width.min(level.height) < SMALLEST {
             return None;
         }
-        let mut candidates: Vec<Candidate> = peaks(level, &response(level), THRESHOLD, MOST_PEAKS)
+        let mut candidates: Vec<Candidate> = peaks(level, THRESHOLD, MOST_PEAKS)
             .iter()
             .filter_map(|p| examine(level, p))
             .collect();

@@ -48,6 +48,11 @@ impl Site {
         self.origin + Vector2::new(f[index::X], f[index::Y])
     }
 
+    /// Every how many pixels are worth taking: a wide blur carries little per pixel.
+    pub(super) fn stride(&self) -> usize {
+        ((self.sigma() / 2.0) as usize).max(1)
+    }
+
     pub(super) fn contrast(&self) -> f64 {
         2.0 * self.parameters.free[index::HALF].abs()
     }
@@ -79,8 +84,15 @@ impl Site {
         self.parameters.free = free;
     }
 
-    /// Takes the pixels within `band` of either edge, no farther along than `reach`.
-    pub(super) fn gather<P: Pixel>(&mut self, image: &Image<P>, reach: [f64; 4], band: f64) {
+    /// Takes the pixels within `band` of either edge, no farther along than `reach`, every `stride`-th
+    /// of every `stride`-th row.
+    pub(super) fn gather<P: Pixel>(
+        &mut self,
+        image: &Image<P>,
+        reach: [f64; 4],
+        band: f64,
+        stride: usize,
+    ) {
         self.patch.clear();
         let f = &self.parameters.free;
         let (x0, y0) = (f[index::X], f[index::Y]);
@@ -93,41 +105,37 @@ impl Site {
             } else {
                 1.0
             };
-            (
-                Vector2::new(c, s),
-                along * sign,
-                reach[2 * i],
-                reach[2 * i + 1],
-            )
+            let along = along * sign;
+            [
+                Strip::new(Vector2::new(c, s), [-band, band]),
+                Strip::new(along, [-reach[2 * i], reach[2 * i + 1]]),
+            ]
         });
         let farthest = reach.iter().fold(0.0, |a: f64, &b| a.max(b)) + band;
-        // A wide blur carries little per pixel.
-        let stride = ((self.sigma() / 2.0) as usize).max(1);
         let (w, h) = (image.width() as i64, image.height() as i64);
         let (ou, ov) = (self.origin.x as i64, self.origin.y as i64);
-        let first = ((y0 - farthest).ceil() as i64).max(-ov);
-        let last = ((y0 + farthest).floor() as i64).min(h - 1 - ov);
+        let first = ceil(y0 - farthest).max(-ov);
+        let last = floor(y0 + farthest).min(h - 1 - ov);
         let mut y = first;
         while y <= last {
             let dy = y as f64 - y0;
-            let mut spans = lines.map(|(n, t, back, ahead)| {
-                let (a, b) = span(n, dy, -band, band);
-                let (c, d) = span(t, dy, -back, ahead);
-                let low = (x0 + a.max(c)).ceil().max(-(ou as f64));
-                let high = (x0 + b.min(d)).floor().min((w - 1 - ou) as f64);
-                (low as i64, high as i64)
+            let mut spans = lines.map(|[across, along]| {
+                let (a, b) = across.span(dy);
+                let (c, d) = along.span(dy);
+                let low = ceil(x0 + a.max(c)).max(-ou);
+                let high = floor(x0 + b.min(d)).min(w - 1 - ou);
+                (low, high)
             });
             spans.sort_unstable();
             let row = image.row((y + ov) as usize);
             let mut next = i64::MIN;
             for (low, high) in spans {
                 let mut x = low.max(next);
-                x += (x.rem_euclid(stride as i64) != 0) as i64
-                    * (stride as i64 - x.rem_euclid(stride as i64));
-                while x <= high {
-                    let value: f32 = row[(x + ou) as usize].into();
-                    self.patch.push(x as f32, y as f32, value);
-                    x += stride as i64;
+                // On the lattice that all rows share.
+                x += (stride as i64 - x.rem_euclid(stride as i64)) % stride as i64;
+                if x <= high {
+                    let pixels = &row[(x + ou) as usize..=(high + ou) as usize];
+                    self.patch.append(x, y, pixels, stride);
                 }
                 next = next.max(high + 1);
             }
@@ -136,8 +144,8 @@ impl Site {
         self.patch.finish();
     }
 
-    /// Gauss–Newton steps until the position moves by less than `enough`; `None` when the fit
-    /// fails. Returns the last step's normal equations, and the weighted square sum of the residual
+    /// Gauss–Newton steps until the position moves by less than `enough`, px, and the blur by less
+    /// than a tenth; `None` when the fit fails. Returns the last step's normal equations, and the weighted square sum of the residual
     /// that they predict after it.
     pub(super) fn fit(&mut self, steps: usize, enough: f64) -> Option<(Normal, f64)> {
         self.fit_near(steps, enough, None)
@@ -182,7 +190,8 @@ impl Site {
             }
             let left = (normal.products[FREE][FREE] - gain).max(0.0);
             last = Some((normal, left));
-            if moved < enough {
+            // The blur comes from afar and takes the longest.
+            if moved < enough && (self.sigma() / sigma - 1.0).abs() < 0.1 {
                 break;
             }
         }
@@ -241,18 +250,53 @@ impl Prior {
     }
 }
 
-/// The dx for which low ≤ n·(dx, dy) ≤ high.
-fn span(n: Vector2, dy: f64, low: f64, high: f64) -> (f64, f64) {
-    let rest = n.y * dy;
-    if n.x.abs() < 1e-9 {
-        return if (low..=high).contains(&rest) {
-            (-1e9, 1e9)
+/// The points between two parallel lines: low ≤ n·(dx, dy) ≤ high.
+#[derive(Clone, Copy)]
+struct Strip {
+    normal: Vector2,
+    /// 1 ÷ n's x; infinite where the lines run along the rows.
+    inverse: f64,
+    limits: [f64; 2],
+}
+
+impl Strip {
+    fn new(normal: Vector2, limits: [f64; 2]) -> Self {
+        let inverse = if normal.x.abs() < 1e-9 {
+            f64::INFINITY
         } else {
-            (1e9, -1e9)
+            1.0 / normal.x
         };
+        Self {
+            normal,
+            inverse,
+            limits,
+        }
     }
-    let (a, b) = ((low - rest) / n.x, (high - rest) / n.x);
-    (a.min(b), a.max(b))
+
+    /// The dx inside, in the row at dy.
+    fn span(&self, dy: f64) -> (f64, f64) {
+        let rest = self.normal.y * dy;
+        let [low, high] = self.limits;
+        if self.inverse.is_infinite() {
+            return if (low..=high).contains(&rest) {
+                (-1e9, 1e9)
+            } else {
+                (1e9, -1e9)
+            };
+        }
+        let (a, b) = ((low - rest) * self.inverse, (high - rest) * self.inverse);
+        (a.min(b), a.max(b))
+    }
+}
+
+/// Plain code: the library's functions are calls where the processor's rounding is not to be had.
+fn floor(x: f64) -> i64 {
+    let i = x as i64;
+    i - i64::from(i as f64 > x)
+}
+
+fn ceil(x: f64) -> i64 {
+    -floor(-x)
 }
 
 /// The step of the normal equations, scaled to unit diagonal; `None` if they are singular.

@@ -2,7 +2,8 @@
 
 use super::search::{Candidate, Candidates};
 
-/// Columns that a chain may lack in one place (a hair, a grain of dark speckle).
+/// Columns that a chain may lack in one place (a hair, a grain of dark speckle); no more than it
+/// has points: what stands alone is noise as a rule.
 const GAP: usize = 8;
 
 /// A run of candidates along the stripe, in ascending columns.
@@ -27,17 +28,26 @@ impl Chain {
     }
 }
 
-/// A chain that still grows.
+/// A chain that still grows. Its points stand in a list that all chains share, each with the place
+/// of the one before it: most candidates are noise and never become a chain.
 struct Open {
-    chain: Chain,
+    last: Candidate,
+    first_u: u16,
+    count: u32,
+    strength: u64,
     slope: f32,
+    place: u32,
 }
+
+/// Where a chain's first point has none before it.
+const NONE: u32 = u32::MAX;
 
 /// Joins candidates to chains of at least `least` points. Where chains lie over each other
 /// (reflections, spots), the strongest keeps the columns.
 pub(super) fn chains(candidates: &Candidates, least: usize) -> Vec<Chain> {
     let mut done = Vec::new();
     let mut open: Vec<Open> = Vec::new();
+    let mut links: Vec<(Candidate, u32)> = Vec::with_capacity(candidates.list.len());
     let mut used = Vec::new();
     for i in 0..candidates.first.len() - 1 {
         let column = candidates.column(i);
@@ -45,68 +55,75 @@ pub(super) fn chains(candidates: &Candidates, least: usize) -> Vec<Chain> {
             continue;
         }
         let u = column[0].u;
-        open.retain_mut(|o| {
-            let live = usize::from(u - o.chain.span().1) <= GAP + 1;
+        open.retain(|o| {
+            let live = usize::from(u - o.last.u) <= GAP.min(o.count as usize) + 1;
             if !live {
-                close(&mut o.chain, least, &mut done);
+                done.extend(o.close(&links, least));
             }
             live
         });
         // The longest choose first.
-        open.sort_by_key(|o| std::cmp::Reverse(o.chain.points.len()));
+        open.sort_by_key(|o| std::cmp::Reverse(o.count));
         used.clear();
         used.resize(column.len(), false);
         for o in &mut open {
-            let Some(last) = o.chain.points.last() else {
-                continue;
-            };
-            let gap = f32::from(u - last.u);
-            let expected = f32::from(last.v) + o.slope * gap;
+            let gap = f32::from(u - o.last.u);
+            let expected = f32::from(o.last.v) + o.slope * gap;
             let reach = (2.5 + 0.5 * gap).min(6.0);
-            let nearest = column
-                .iter()
-                .enumerate()
-                .filter(|(k, _)| !used[*k])
-                .map(|(k, c)| (k, (f32::from(c.v) - expected).abs()))
-                .min_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((k, distance)) = nearest else {
-                continue;
-            };
+            let (mut nearest, mut distance) = (usize::MAX, f32::INFINITY);
+            for (k, c) in column.iter().enumerate() {
+                let d = (f32::from(c.v) - expected).abs();
+                if d < distance && !used[k] {
+                    (nearest, distance) = (k, d);
+                }
+            }
             if distance > reach {
                 continue;
             }
-            used[k] = true;
-            let step = (f32::from(column[k].v) - f32::from(last.v)) / gap;
+            let point = column[nearest];
+            used[nearest] = true;
+            let step = (f32::from(point.v) - f32::from(o.last.v)) / gap;
             o.slope = (o.slope + 0.2 * (step - o.slope)).clamp(-3.0, 3.0);
-            o.chain.strength += u64::from(column[k].response);
-            o.chain.points.push(column[k]);
+            o.strength += u64::from(point.response);
+            o.count += 1;
+            o.last = point;
+            links.push((point, o.place));
+            o.place = links.len() as u32 - 1;
         }
-        for (k, c) in column.iter().enumerate() {
-            if !used[k] {
-                open.push(Open {
-                    chain: Chain {
-                        points: vec![*c],
-                        strength: u64::from(c.response),
-                    },
-                    slope: 0.0,
-                });
-            }
+        for (c, _) in column.iter().zip(&used).filter(|(_, used)| !**used) {
+            links.push((*c, NONE));
+            open.push(Open {
+                last: *c,
+                first_u: c.u,
+                count: 1,
+                strength: u64::from(c.response),
+                slope: 0.0,
+                place: links.len() as u32 - 1,
+            });
         }
     }
-    for o in &mut open {
-        close(&mut o.chain, least, &mut done);
-    }
+    done.extend(open.iter().filter_map(|o| o.close(&links, least)));
     uppermost(done, least)
 }
 
-fn close(chain: &mut Chain, least: usize, done: &mut Vec<Chain>) {
-    let n = chain.points.len();
-    let (a, b) = chain.span();
-    if n >= least && 2 * n >= usize::from(b - a) {
-        done.push(Chain {
-            points: std::mem::take(&mut chain.points),
-            strength: chain.strength,
-        });
+impl Open {
+    /// The chain, if it is long enough and has a point in every other column.
+    fn close(&self, links: &[(Candidate, u32)], least: usize) -> Option<Chain> {
+        let n = self.count as usize;
+        if n < least || 2 * n < usize::from(self.last.u - self.first_u) {
+            return None;
+        }
+        let mut points = Vec::with_capacity(n);
+        let mut place = self.place;
+        while let Some(&(point, before)) = links.get(place as usize) {
+            points.push(point);
+            place = before;
+        }
+        points.reverse();
+        Some(Chain {
+            points,
+            strength: self.strength,
+        })
     }
 }
 

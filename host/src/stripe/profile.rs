@@ -9,7 +9,8 @@
 //! that the caller has to scale them by what the scatter along the stripe shows.
 
 use crate::image::{Image, Pixel};
-use crate::simd::widest;
+use crate::simd::Lanes;
+use pulp::{Simd, WithSimd};
 
 /// Columns fitted at a time.
 pub(super) const LANES: usize = 16;
@@ -19,6 +20,11 @@ pub(super) const MAX_HALF: usize = 16;
 const ROWS: usize = 2 * MAX_HALF + 1;
 /// Rows on either side of the window that give the background.
 const OUTER: usize = 6;
+
+/// A step of this length, px, is the last, for the next would be shorter by far ...
+const ENOUGH: f32 = 3e-3;
+/// ... and so is one of this part of its own standard deviation.
+const NOTHING: f32 = 0.05;
 
 type Lane = [f32; LANES];
 
@@ -70,14 +76,16 @@ struct Windows {
     middle: Lane,
     /// Signal less a linear background.
     y: [Lane; ROWS],
-    /// All light on the pixel, for the shot noise.
-    light: [Lane; ROWS],
+    /// Variance by read and shot noise.
+    spread: [Lane; ROWS],
     /// Relative albedo.
     albedo: [Lane; ROWS],
     /// 1 for a pixel that counts, 0 for one that does not.
     mask: [Lane; ROWS],
-    /// 1 for a saturated pixel.
-    saturated: [Lane; ROWS],
+    /// Least residual that counts: a saturated pixel's is 0, for the model may lie above it.
+    least: [Lane; ROWS],
+    /// Saturated pixels.
+    saturated: Lane,
     step: Lane,
 }
 
@@ -98,11 +106,31 @@ pub(super) fn fit<P: Pixel>(
     let mut fits = Vec::with_capacity(starts.len());
     let mut windows = Windows::new(half);
     for group in starts.chunks(LANES) {
-        windows.fill(on, off, albedo, group, noise.saturation);
-        widest(
-            #[inline(always)]
-            || windows.solve(group, noise, free_width, &mut fits),
-        );
+        windows.fill(on, off, albedo, group, noise);
+        let mut work = Work {
+            windows: &windows,
+            speckle: noise.speckle,
+            free_width,
+            solved: Solved::start(group, &windows.middle),
+        };
+        pulp::Arch::new().dispatch(&mut work);
+        let solved = work.solved;
+        fits.extend(group.iter().enumerate().map(|(l, start)| {
+            let (centre, variance) = (solved.centre[l], solved.variance[l]);
+            // A centre that ran away is no measurement.
+            let lost = !(centre.is_finite() && variance.is_finite())
+                || (centre - solved.first[l]).abs() > 1.5 * start.width + 1.0;
+            Fit {
+                u: start.u,
+                centre: windows.middle[l] + centre,
+                variance: if lost { f32::INFINITY } else { variance },
+                peak: solved.peak[l],
+                width: solved.width[l],
+                chi2: solved.chi2[l],
+                saturated: windows.saturated[l],
+                background_step: windows.step[l],
+            }
+        }));
     }
     fits
 }
@@ -114,10 +142,11 @@ impl Windows {
             half,
             middle: [0.0; LANES],
             y: zero,
-            light: zero,
+            spread: [[1.0; LANES]; ROWS],
             albedo: [[1.0; LANES]; ROWS],
             mask: zero,
-            saturated: zero,
+            least: [[f32::NEG_INFINITY; LANES]; ROWS],
+            saturated: [0.0; LANES],
             step: [0.0; LANES],
         }
     }
@@ -129,7 +158,7 @@ impl Windows {
         off: Option<&Image<P>>,
         albedo: Option<Albedo>,
         group: &[Start],
-        saturation: f32,
+        noise: &Noise,
     ) {
         let height = on.height() as isize;
         let width = on.width();
@@ -137,10 +166,10 @@ impl Windows {
         let on_pixels = on.pixels();
         let off_pixels = off.map(Image::pixels);
         for l in 0..LANES {
+            self.saturated[l] = 0.0;
             let Some(start) = group.get(l) else {
                 for k in 0..2 * self.half + 1 {
                     self.mask[k][l] = 0.0;
-                    self.saturated[k][l] = 0.0;
                     self.y[k][l] = 0.0;
                 }
                 continue;
@@ -176,216 +205,210 @@ impl Windows {
                 let row = k as usize;
                 if v < 0 || v >= height {
                     self.mask[row][l] = 0.0;
-                    self.saturated[row][l] = 0.0;
                     self.y[row][l] = 0.0;
-                    self.light[row][l] = 0.0;
                     continue;
                 }
                 let (raw, difference) = value(v);
                 self.y[row][l] = difference - base - slope * (k - half) as f32;
-                self.light[row][l] = raw;
+                self.spread[row][l] = noise.read + noise.shot * raw;
                 self.mask[row][l] = 1.0;
-                self.saturated[row][l] = if raw >= saturation { 1.0 } else { 0.0 };
+                let saturated = raw >= noise.saturation;
+                self.least[row][l] = if saturated { 0.0 } else { f32::NEG_INFINITY };
+                self.saturated[l] += f32::from(u8::from(saturated));
                 if let Some(albedo) = albedo {
                     self.albedo[row][l] = albedo(u, v as usize);
                 }
             }
         }
     }
+}
 
-    /// Fits the group and appends to `fits`.
-    #[inline(always)]
-    fn solve(&self, group: &[Start], noise: &Noise, free_width: bool, fits: &mut Vec<Fit>) {
-        let rows = 2 * self.half + 1;
-        let half = self.half as f32;
-        let mut width0 = [1.5_f32; LANES];
-        let mut start = [0.0_f32; LANES];
-        for (l, s) in group.iter().enumerate() {
-            width0[l] = s.width;
-            start[l] = s.centre - self.middle[l];
+/// Sixteen columns' parameters; centres count from the windows' middles.
+struct Solved {
+    centre: Lane,
+    /// The centre that the iteration started from.
+    first: Lane,
+    peak: Lane,
+    width: Lane,
+    variance: Lane,
+    chi2: Lane,
+}
+
+impl Solved {
+    fn start(group: &[Start], middle: &Lane) -> Self {
+        let mut first = [0.0; LANES];
+        let mut width = [1.5; LANES];
+        for (l, start) in group.iter().enumerate() {
+            first[l] = start.centre - middle[l];
+            width[l] = start.width;
         }
-        // Start: the largest value near the centre, and the centroid of what lies above its third.
-        let mut peak = [1.0_f32; LANES];
-        for k in 0..rows {
-            let d = k as f32 - half;
-            for l in 0..LANES {
-                let near = (d - start[l]).abs() <= 2.5;
-                let y = if near { self.y[k][l] } else { 0.0 };
-                peak[l] = peak[l].max(y);
-            }
-        }
-        let mut moment = [0.0_f32; LANES];
-        let mut mass = [1e-6_f32; LANES];
-        for k in 0..rows {
-            let d = k as f32 - half;
-            for l in 0..LANES {
-                let reach = 2.0 * width0[l] + 1.0;
-                let near = if (d - start[l]).abs() <= reach {
-                    1.0
-                } else {
-                    0.0
-                };
-                let y = (self.y[k][l] - 0.3 * peak[l]).max(0.0) * near;
-                mass[l] += y;
-                moment[l] += y * d;
-            }
-        }
-        let mut centre = [0.0_f32; LANES];
-        for l in 0..LANES {
-            centre[l] = (moment[l] / mass[l]).clamp(start[l] - 3.0, start[l] + 3.0);
-        }
-        let first = centre;
-        let mut base = [0.0_f32; LANES];
-        let mut width = width0;
-        let mut variance = [0.0_f32; LANES];
-        let mut chi2 = [0.0_f32; LANES];
-        let steps = if free_width { 6 } else { 4 };
-        for _ in 0..steps {
-            // Normal matrix (lower triangle) and right side of (a, b, μ, s).
-            let mut h = [[0.0_f32; LANES]; 10];
-            let mut r = [[0.0_f32; LANES]; 4];
-            let mut squares = [0.0_f32; LANES];
-            let mut used = [1e-6_f32; LANES];
-            let mut inverse = [0.0_f32; LANES];
-            for l in 0..LANES {
-                inverse[l] = 1.0 / width[l];
-            }
-            for k in 0..rows {
-                let d = k as f32 - half;
-                for l in 0..LANES {
-                    let t = (d - centre[l]) * inverse[l];
-                    let g = exp(-0.5 * t * t) * self.albedo[k][l];
-                    let signal = peak[l] * g;
-                    let model = signal + base[l];
-                    let rough = noise.speckle * signal;
-                    let residual = self.y[k][l] - model;
-                    // Below a saturated pixel's value the model is wrong, above it may be anything.
-                    let open = if self.saturated[k][l] > 0.5 && residual < 0.0 {
-                        0.0
-                    } else {
-                        self.mask[k][l]
-                    };
-                    let spread = noise.read + noise.shot * self.light[k][l] + rough * rough;
-                    let w = open / spread;
-                    let jm = signal * t * inverse[l];
-                    let js = jm * t;
-                    h[0][l] += w * g * g;
-                    h[1][l] += w * g;
-                    h[2][l] += w;
-                    h[3][l] += w * jm * g;
-                    h[4][l] += w * jm;
-                    h[5][l] += w * jm * jm;
-                    h[6][l] += w * js * g;
-                    h[7][l] += w * js;
-                    h[8][l] += w * js * jm;
-                    h[9][l] += w * js * js;
-                    let wr = w * residual;
-                    r[0][l] += wr * g;
-                    r[1][l] += wr;
-                    r[2][l] += wr * jm;
-                    r[3][l] += wr * js;
-                    squares[l] += wr * residual;
-                    used[l] += open;
-                }
-            }
-            for l in 0..LANES {
-                // The width: free near its start, or held.
-                let stiff = if free_width {
-                    1.0 / (0.09 * width0[l] * width0[l])
-                } else {
-                    1e12
-                };
-                h[9][l] += stiff;
-                r[3][l] += stiff * (width0[l] - width[l]);
-                // A window that is masked or saturated throughout must not divide by nothing.
-                h[0][l] += 1e-9;
-                h[2][l] += 1e-6;
-                h[5][l] += 1e-6;
-                // Cholesky, order (a, b, s, μ): the last pivot is then 1/variance of μ.
-                let l00 = h[0][l].sqrt();
-                let l10 = h[1][l] / l00;
-                let l20 = h[6][l] / l00;
-                let l30 = h[3][l] / l00;
-                let l11 = (h[2][l] - l10 * l10).max(1e-9).sqrt();
-                let l21 = (h[7][l] - l20 * l10) / l11;
-                let l31 = (h[4][l] - l30 * l10) / l11;
-                let l22 = (h[9][l] - l20 * l20 - l21 * l21).max(1e-9).sqrt();
-                let l32 = (h[8][l] - l30 * l20 - l31 * l21) / l22;
-                let pivot = (h[5][l] - l30 * l30 - l31 * l31 - l32 * l32).max(1e-9);
-                let l33 = pivot.sqrt();
-                let y0 = r[0][l] / l00;
-                let y1 = (r[1][l] - l10 * y0) / l11;
-                let y2 = (r[3][l] - l20 * y0 - l21 * y1) / l22;
-                let y3 = (r[2][l] - l30 * y0 - l31 * y1 - l32 * y2) / l33;
-                let dm = y3 / l33;
-                let ds = (y2 - l32 * dm) / l22;
-                let db = (y1 - l21 * ds - l31 * dm) / l11;
-                let da = (y0 - l10 * db - l20 * ds - l30 * dm) / l00;
-                let step = 0.7 * width[l];
-                centre[l] += dm.clamp(-step, step);
-                peak[l] = (peak[l] + da).clamp(0.3 * peak[l], 4.0 * peak[l]).max(0.05);
-                base[l] += db;
-                let step = 0.3 * width[l];
-                width[l] += if free_width {
-                    ds.clamp(-step, step)
-                } else {
-                    0.0
-                };
-                width[l] = width[l].clamp(0.4, 0.6 * half);
-                variance[l] = 1.0 / pivot;
-                chi2[l] = squares[l] / (used[l] - 4.0).max(1.0);
-            }
-        }
-        for (l, s) in group.iter().enumerate() {
-            let mut saturated = 0.0;
-            for k in 0..rows {
-                saturated += self.saturated[k][l];
-            }
-            // A centre that ran away is no measurement.
-            let lost = !(centre[l].is_finite() && variance[l].is_finite())
-                || (centre[l] - first[l]).abs() > 1.5 * width0[l] + 1.0;
-            fits.push(Fit {
-                u: s.u,
-                centre: self.middle[l] + centre[l],
-                variance: if lost { f32::INFINITY } else { variance[l] },
-                peak: peak[l],
-                width: width[l],
-                chi2: chi2[l],
-                saturated,
-                background_step: self.step[l],
-            });
+        Self {
+            centre: first,
+            first,
+            peak: [1.0; LANES],
+            width,
+            variance: [0.0; LANES],
+            chi2: [0.0; LANES],
         }
     }
 }
 
-/// exp(x) for x ≤ 0, to 2e-7·(1 + |x|) of its value: 2^n by the exponent's bits, the rest by a polynomial.
-/// (libm's does not become SIMD code.)
-#[inline(always)]
-fn exp(x: f32) -> f32 {
-    let y = (x * std::f32::consts::LOG2_E).max(-126.0);
-    let n = (y - 0.5) as i32; // towards zero: the nearest for y ≤ 0
-    let f = (y - n as f32) * std::f32::consts::LN_2;
-    let p = 1.0 / 720.0;
-    let p = p * f + 1.0 / 120.0;
-    let p = p * f + 1.0 / 24.0;
-    let p = p * f + 1.0 / 6.0;
-    let p = p * f + 0.5;
-    let p = p * f + 1.0;
-    let p = p * f + 1.0;
-    f32::from_bits(((n + 127) as u32) << 23) * p
+/// A group to solve, as many columns at once as a register holds.
+struct Work<'a> {
+    windows: &'a Windows,
+    speckle: f32,
+    free_width: bool,
+    solved: Solved,
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_fast_exponential_is_exp() {
-        for i in 0..8700 {
-            let x = -0.01 * i as f32;
-            let (a, b) = (exp(x), x.exp());
-            // The exponent's own rounding costs 6e-8·|x|.
-            assert!((a - b).abs() <= 2e-7 * (1.0 - x) * b + 1e-37, "{x} {a} {b}");
+impl WithSimd for &mut Work<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for block in 0..LANES / S::F32_LANES {
+            if self.free_width {
+                self.solve::<S, 4>(simd, block);
+            } else {
+                self.solve::<S, 3>(simd, block);
+            }
         }
+    }
+}
+
+impl Work<'_> {
+    /// Gauss–Newton on (a, b, μ) for FREE = 3, on (a, b, μ, s) for 4.
+    #[inline(always)]
+    fn solve<S: Simd, const FREE: usize>(&mut self, simd: S, block: usize) {
+        let windows = self.windows;
+        let rows = 2 * windows.half + 1;
+        let half = windows.half as f32;
+        let c = |x: f32| Lanes::splat(simd, x);
+        let (zero, one) = (c(0.0), c(1.0));
+        let take = |lane: &Lane| Lanes::new(simd, S::as_simd_f32s(lane).0[block]);
+        let start = take(&self.solved.centre);
+        let width0 = take(&self.solved.width);
+
+        // Start: the largest value near the centre, and the centroid of what lies above its third.
+        let mut peak = one;
+        for k in 0..rows {
+            let away = (c(k as f32 - half) - start).abs();
+            peak = peak.larger(take(&windows.y[k]).where_at_least(c(2.5), away));
+        }
+        let reach = c(2.0) * width0 + one;
+        let third = c(0.3) * peak;
+        let (mut moment, mut mass) = (zero, c(1e-6));
+        for k in 0..rows {
+            let d = c(k as f32 - half);
+            let y = (take(&windows.y[k]) - third).at_least(0.0);
+            let y = y.where_at_least(reach, (d - start).abs());
+            mass = mass + y;
+            moment = y.times_plus(d, moment);
+        }
+        let mut centre = (moment / mass).between(start - c(3.0), start + c(3.0));
+        let first = centre;
+        let mut width = width0;
+        let mut base = zero;
+        let (mut variance, mut chi2) = (zero, zero);
+        let speckle = c(self.speckle);
+        for _ in 0..if FREE == 4 { 6 } else { 4 } {
+            // Normal matrix (lower triangle) and right side of (a, b, μ, s).
+            let mut h = [zero; 10];
+            let mut r = [zero; 4];
+            let (mut squares, mut used) = (zero, c(1e-6));
+            let inverse = width.reciprocal();
+            for k in 0..rows {
+                let t = (c(k as f32 - half) - centre) * inverse;
+                let exponent = (t * t * c(-0.5 * std::f32::consts::LOG2_E)).at_least(-100.0);
+                let g = exponent.power_of_two() * take(&windows.albedo[k]);
+                let signal = peak * g;
+                let residual = take(&windows.y[k]) - signal - base;
+                let rough = speckle * signal;
+                // Below a saturated pixel's value the model is wrong, above it may be anything.
+                let open = take(&windows.mask[k]).where_at_least(residual, take(&windows.least[k]));
+                let w = open / rough.times_plus(rough, take(&windows.spread[k]));
+                let jm = signal * t * inverse;
+                let (wg, wm, wr) = (w * g, w * jm, w * residual);
+                h[0] = wg.times_plus(g, h[0]);
+                h[1] = h[1] + wg;
+                h[2] = h[2] + w;
+                h[3] = wm.times_plus(g, h[3]);
+                h[4] = h[4] + wm;
+                h[5] = wm.times_plus(jm, h[5]);
+                r[0] = wr.times_plus(g, r[0]);
+                r[1] = r[1] + wr;
+                r[2] = wr.times_plus(jm, r[2]);
+                if FREE == 4 {
+                    let js = jm * t;
+                    let ws = w * js;
+                    h[6] = ws.times_plus(g, h[6]);
+                    h[7] = h[7] + ws;
+                    h[8] = ws.times_plus(jm, h[8]);
+                    h[9] = ws.times_plus(js, h[9]);
+                    r[3] = wr.times_plus(js, r[3]);
+                }
+                squares = wr.times_plus(residual, squares);
+                used = used + open;
+            }
+            // A window that is masked or saturated throughout must not divide by nothing.
+            let tiny = c(1e-9);
+            // Cholesky, order (a, b, s, μ): the last pivot is then 1/variance of μ.
+            let l00 = (h[0] + tiny).square_root();
+            let (l10, l30) = (h[1] / l00, h[3] / l00);
+            let l11 = (h[2] + c(1e-6) - l10 * l10).larger(tiny).square_root();
+            let l31 = (h[4] - l30 * l10) / l11;
+            let y0 = r[0] / l00;
+            let y1 = (r[1] - l10 * y0) / l11;
+            let mut pivot = h[5] + c(1e-6) - l30 * l30 - l31 * l31;
+            let mut right = r[2] - l30 * y0 - l31 * y1;
+            let (mut l20, mut l21, mut l22, mut l32, mut y2) = (zero, zero, one, zero, zero);
+            if FREE == 4 {
+                // The width is free near its start.
+                let stiff = (c(0.09) * width0 * width0).reciprocal();
+                l20 = h[6] / l00;
+                l21 = (h[7] - l20 * l10) / l11;
+                let square = h[9] + stiff - l20 * l20 - l21 * l21;
+                l22 = square.larger(tiny).square_root();
+                l32 = (h[8] - l30 * l20 - l31 * l21) / l22;
+                y2 = (r[3] + stiff * (width0 - width) - l20 * y0 - l21 * y1) / l22;
+                pivot = pivot - l32 * l32;
+                right = right - l32 * y2;
+            }
+            let pivot = pivot.larger(tiny);
+            let l33 = pivot.square_root();
+            // y3 is the centre's step in standard deviations.
+            let y3 = right / l33;
+            let dm = y3 / l33;
+            let ds = (y2 - l32 * dm) / l22;
+            let db = (y1 - l21 * ds - l31 * dm) / l11;
+            let da = (y0 - l10 * db - l20 * ds - l30 * dm) / l00;
+            let step = c(0.7) * width;
+            centre = centre + dm.between(-step, step);
+            peak = (peak + da)
+                .between(c(0.3) * peak, c(4.0) * peak)
+                .at_least(0.05);
+            base = base + db;
+            let mut left = (dm * c(1.0 / ENOUGH)).abs();
+            left = left.smaller((y3 * c(1.0 / NOTHING)).abs());
+            if FREE == 4 {
+                let step = c(0.3) * width;
+                width = (width + ds.between(-step, step)).between(c(0.4), c(0.6 * half));
+                let wide = (ds * c(1.0 / (8.0 * ENOUGH))).abs();
+                left = left.larger(wide.smaller((y2 * c(1.0 / NOTHING)).abs()));
+            }
+            variance = pivot.reciprocal();
+            chi2 = squares / (used - c(4.0)).at_least(1.0);
+            if left.maximum() < 1.0 {
+                break;
+            }
+        }
+        let put = |lane: &mut Lane, value: Lanes<S>| {
+            S::as_mut_simd_f32s(lane).0[block] = value.value;
+        };
+        put(&mut self.solved.centre, centre);
+        put(&mut self.solved.first, first);
+        put(&mut self.solved.peak, peak);
+        put(&mut self.solved.width, width);
+        put(&mut self.solved.variance, variance);
+        put(&mut self.solved.chi2, chi2);
     }
 }

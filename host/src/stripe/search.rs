@@ -13,6 +13,8 @@ const BAND: usize = 16;
 /// Columns worked on at a time: their ring buffers (14 KiB) stay in the first-level cache, and a
 /// row of a strip is long enough for the memory to be read ahead.
 const STRIP: usize = 256;
+/// Columns that are passed over at once where nothing stands out.
+const BLOCK: usize = 32;
 /// Half of the rows of a sum.
 const HALF: usize = 2;
 /// Distance of the surround from the sum, rows.
@@ -121,7 +123,7 @@ fn strip<P: Pixel>(
     let mut band_row = [0_u16; STRIP];
     let height = region.v1 - region.v0;
     for v in 0..height {
-        let mut new = [0_u16; STRIP];
+        let new = &mut pixels[v % 8];
         let on_row = &on.row(region.v0 + v)[a..b];
         match off {
             Some(off) => {
@@ -136,21 +138,14 @@ fn strip<P: Pixel>(
                 }
             }
         }
-        let old = &mut pixels[v % 8];
-        *old = new;
-        let gone = if v >= 5 {
-            pixels[(v - 5) % 8]
-        } else {
-            [0; STRIP]
-        };
+        // The row that leaves the sum, five rows ago; 0 before there were five.
+        let (new, gone) = (&pixels[v % 8], &pixels[(v + 3) % 8]);
+        let kept = &mut sums[v.wrapping_sub(HALF) % 16];
         for l in 0..STRIP {
             // Never overflows: five values below 4096; wrapping keeps the loop plain.
             sum[l] = sum[l].wrapping_add(new[l]).wrapping_sub(gone[l]);
+            kept[l] = sum[l];
         }
-        if v < 2 * HALF {
-            continue;
-        }
-        sums[(v - HALF) % 16] = sum;
         if v < 2 * MARGIN {
             continue;
         }
@@ -201,21 +196,24 @@ fn collect(best: &[u16], row: &[u16], width: usize, bands: usize, region: &Regio
     let mut hits = Vec::with_capacity(4 * width);
     for band in 0..bands {
         let line = &best[band * width..(band + 1) * width];
-        for (i, response) in line.iter().enumerate() {
-            if *response < threshold {
+        for (block, start) in line.chunks(BLOCK).zip((0..).step_by(BLOCK)) {
+            if block.iter().fold(0, |m, &r| m.max(r)) < threshold {
                 continue;
             }
-            let v = row[band * width + i];
-            // A ridge on the border of two bands is in both: the larger stays.
-            let near = |other: usize| {
-                let (r, w) = (best[other * width + i], row[other * width + i]);
-                w.abs_diff(v) < 6 && (r > *response || (r == *response && other < band))
-            };
-            if (band > 0 && near(band - 1)) || (band + 1 < bands && near(band + 1)) {
-                continue;
+            let above = block.iter().enumerate().filter(|(_, r)| **r >= threshold);
+            for (i, response) in above.map(|(i, r)| (start + i, r)) {
+                let v = row[band * width + i];
+                // A ridge on the border of two bands is in both: the larger stays.
+                let near = |other: usize| {
+                    let (r, w) = (best[other * width + i], row[other * width + i]);
+                    w.abs_diff(v) < 6 && (r > *response || (r == *response && other < band))
+                };
+                if (band > 0 && near(band - 1)) || (band + 1 < bands && near(band + 1)) {
+                    continue;
+                }
+                hits.push((i as u32, v, *response));
+                first[i + 1] += 1;
             }
-            hits.push((i as u32, v, *response));
-            first[i + 1] += 1;
         }
     }
     for i in 0..width {

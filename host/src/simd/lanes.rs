@@ -1,11 +1,11 @@
 //! Single-precision numbers, as many at once as a register holds, with ordinary operators.
 
 use pulp::Simd;
-use std::ops::{Add, Mul, Neg, Sub};
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// One register.
 #[derive(Clone, Copy)]
-pub(super) struct Lanes<S: Simd> {
+pub(crate) struct Lanes<S: Simd> {
     simd: S,
     pub value: S::f32s,
 }
@@ -49,6 +49,37 @@ impl<S: Simd> Lanes<S> {
         Self::new(self.simd, self.simd.max_f32s(self.value, low))
     }
 
+    /// NaN stays NaN where the processor's minimum is that of x86.
+    #[inline(always)]
+    pub fn between(self, low: Self, high: Self) -> Self {
+        let value = self.simd.max_f32s(low.value, self.value);
+        Self::new(self.simd, self.simd.min_f32s(high.value, value))
+    }
+
+    #[inline(always)]
+    pub fn larger(self, other: Self) -> Self {
+        Self::new(self.simd, self.simd.max_f32s(self.value, other.value))
+    }
+
+    #[inline(always)]
+    pub fn smaller(self, other: Self) -> Self {
+        Self::new(self.simd, self.simd.min_f32s(self.value, other.value))
+    }
+
+    /// self where `a` ≥ `b`, else 0.
+    #[inline(always)]
+    pub fn where_at_least(self, a: Self, b: Self) -> Self {
+        let simd = self.simd;
+        let mask = simd.greater_than_or_equal_f32s(a.value, b.value);
+        let zero = simd.splat_f32s(0.0);
+        Self::new(simd, simd.select_f32s(mask, self.value, zero))
+    }
+
+    #[inline(always)]
+    pub fn square_root(self) -> Self {
+        Self::new(self.simd, self.simd.sqrt_f32s(self.value))
+    }
+
     #[inline(always)]
     pub fn reciprocal(self) -> Self {
         let one = self.simd.splat_f32s(1.0);
@@ -90,6 +121,11 @@ impl<S: Simd> Lanes<S> {
     }
 
     #[inline(always)]
+    pub fn maximum(self) -> f32 {
+        self.simd.reduce_max_f32s(self.value)
+    }
+
+    #[inline(always)]
     pub fn sum(self) -> f32 {
         self.simd.reduce_sum_f32s(self.value)
     }
@@ -119,10 +155,50 @@ impl<S: Simd> Mul for Lanes<S> {
     }
 }
 
+impl<S: Simd> Div for Lanes<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self::new(self.simd, self.simd.div_f32s(self.value, other.value))
+    }
+}
+
 impl<S: Simd> Neg for Lanes<S> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
         Self::new(self.simd, self.simd.neg_f32s(self.value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_of_two_are_those_of_the_library() {
+        let simd = pulp::Scalar::new();
+        for i in -9999..=9999 {
+            let x = i as f32 * 0.01;
+            let (ours, exact) = (
+                Lanes::new(simd, x).power_of_two().value,
+                f64::from(x).exp2(),
+            );
+            assert!(
+                (f64::from(ours) / exact - 1.0).abs() < 2e-7,
+                "2^{x}: {ours}"
+            );
+        }
+    }
+
+    #[test]
+    fn limits_and_masks() {
+        let simd = pulp::Scalar::new();
+        let l = |x: f32| Lanes::new(simd, x);
+        for (x, clamped) in [(-2.0, -1.0), (0.5, 0.5), (7.0, 3.0)] {
+            assert_eq!(l(x).between(l(-1.0), l(3.0)).value, clamped);
+        }
+        assert_eq!(l(4.0).where_at_least(l(1.0), l(1.0)).value, 4.0);
+        assert_eq!(l(4.0).where_at_least(l(0.9), l(1.0)).value, 0.0);
     }
 }

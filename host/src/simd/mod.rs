@@ -1,4 +1,8 @@
-//! Plain loops compiled for the widest registers of the machine at hand.
+//! Plain loops compiled for the widest registers of the machine at hand, and numbers that fill one.
+
+mod lanes;
+
+pub(crate) use lanes::Lanes;
 
 /// Runs `body` compiled for the processor's best instruction set (AVX2 and FMA on x86-64, where it
 /// has them; chosen at run time).
