@@ -113,7 +113,9 @@ pub fn extract<P: Pixel>(
 /// How far beside a board without a stripe one runs, squares.
 fn beside<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, outline: &Outline) -> Option<f64> {
     let (points, _) = in_columns(on, off, &outline.widened(BESIDE)?).ok()?;
-    outline.beyond(&points.get(points.len() / 2)?.pixel)
+    let squares = outline.beyond(&points.get(points.len() / 2)?.pixel)?;
+    // A stripe that ends on the squares is not beside them.
+    (squares > 0.2).then_some(squares)
 }
 
 /// [`extract`] with one centre a column; also the line's slope.
