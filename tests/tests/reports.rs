@@ -156,3 +156,40 @@ fn a_calibration_file_carries_its_views() {
     let b = needle(read.rig().unwrap()).unwrap().decision.entry;
     assert!((a - b).norm() < 1e-9);
 }
+
+/// Every chart, as one whole SVG and as a PNG of the size that was asked for.
+#[test]
+fn charts_come_as_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let session = committed("tiny-1001").display().to_string();
+    assert_eq!(run(&["process", &session, "--out", &path("out")]), 0);
+    for (what, input) in [
+        ("calibration", path("out/calibration.json")),
+        ("cloud", path("out")),
+        ("stripes", session.clone()),
+    ] {
+        let (svg, png) = (path("a.svg"), path("a.png"));
+        assert_eq!(run(&["plot", what, &input, "-o", &svg, "--width", "85"]), 0);
+        let text = std::fs::read_to_string(&svg).unwrap();
+        assert!(text.starts_with("<svg width=\"85mm\"") && text.trim_end().ends_with("</svg>"));
+        assert_eq!(text.matches("</svg>").count(), 1, "{what}");
+        let sized = [
+            "plot", what, &input, "-o", &png, "--size", "1000x700", "--scale", "1.5",
+        ];
+        assert_eq!(run(&sized), 0);
+        let image = std::fs::read(&png).unwrap();
+        let side = |at: usize| u32::from_be_bytes(image[at..at + 4].try_into().unwrap());
+        assert_eq!((side(16), side(20)), (1000, 700), "{what}");
+    }
+    let bad = [
+        "plot",
+        "cloud",
+        &path("out"),
+        "-o",
+        &path("a.svg"),
+        "--size",
+        "20x10",
+    ];
+    assert_eq!(run(&bad), 2);
+}

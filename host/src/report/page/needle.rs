@@ -105,7 +105,8 @@ fn picture(p: &Picture) -> Markup {
                 svg viewBox=(format!("0 0 {} {}", p.image.width, p.image.height)) aria-hidden="true" {
                     @if !p.points.is_empty() { path d=(dots(&p.points)) fill="none" stroke="#F0E442" stroke-width=(0.7 * stroke) stroke-linecap="round" {} }
                     @if !p.region.is_empty() { polygon points=(path(&p.region)) fill="#0072B2" fill-opacity="0.18" stroke="#56B4E9" stroke-width=(stroke) {} }
-                    polyline points=(path(&p.vein)) fill="none" stroke="#CC79A7" stroke-width=(1.5 * stroke) stroke-dasharray=(format!("{} {}", 5.0 * stroke, 3.0 * stroke)) {}
+                    polyline points=(path(&p.vein)) fill="none" stroke="#fff" stroke-width=(2.6 * stroke) stroke-linecap="round" {}
+                    polyline points=(path(&p.vein)) fill="none" stroke="#CC79A7" stroke-width=(1.6 * stroke) stroke-linecap="round" {}
                     @if !p.needle.is_empty() { polyline points=(path(&p.needle)) fill="none" stroke="#E69F00" stroke-width=(2.0 * stroke) {} }
                     circle cx=(p.entry[0] + 0.5) cy=(p.entry[1] + 0.5) r=(2.5 * stroke) fill="#D55E00" stroke="#fff" stroke-width=(0.6 * stroke) {}
                 }

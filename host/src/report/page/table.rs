@@ -14,6 +14,9 @@ fn class(cells: &[&str]) -> Option<&'static str> {
     }
 }
 
+/// Rows that fit one printed page; a longer table may be broken between two.
+const ONE_PAGE: usize = 40;
+
 /// A table with a caption above.
 pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
     let classes: Vec<Option<&str>> = (0..head.len())
@@ -27,7 +30,7 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
         .collect();
     let of = |k: usize| classes.get(k).copied().flatten();
     html! {
-        @if !rows.is_empty() { div.block {
+        @if !rows.is_empty() { div.block[rows.len() <= ONE_PAGE] {
             @if !caption.is_empty() { h3 { (caption) } }
             div.scroll { table {
                 thead { tr { @for (k, h) in head.iter().enumerate() { th class=[of(k)] { (h) } } } }

@@ -74,7 +74,7 @@ pub fn picture(
     Ok(Some(cut(&image, drawn)))
 }
 
-/// The part of the image around all that is drawn, twice the region's width to each side.
+/// The part of the image around all that is drawn, 1.4 times the region's width to each side.
 fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     let extent = |points: &[[f64; 2]], k: usize| {
         points
@@ -86,7 +86,7 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     let limits = |k: usize, size: usize| {
         let region = extent(&drawn.region, k);
         // Without a region, a good part of the image.
-        let margin = 2.0 * (region.1 - region.0).max(size as f64 / 12.0);
+        let margin = 1.4 * (region.1 - region.0).max(size as f64 / 8.0);
         let needle = extent(&drawn.needle, k);
         let lo = (region.0.min(needle.0.max(region.0 - margin)) - margin).max(0.0) as usize;
         let hi = (region.1.max(needle.1.min(region.1 + margin)) + margin).max(0.0) as usize;
