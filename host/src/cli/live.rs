@@ -18,7 +18,8 @@ use std::time::{Duration, Instant};
 
 /// A reconstruction of pictures of either depth.
 ///
-/// What is wrong with a picture is said by [`Live::decide`]: it must not end the recording.
+/// A picture that can't be worked on is left out and named by [`Finished::warn`], as one that was
+/// lost: it must end neither the recording nor the result.
 pub struct Live {
     rig: RigModel,
     times: Times,
@@ -26,13 +27,25 @@ pub struct Live {
     begun: Instant,
     /// When the last frame was taken from the camera.
     last: Instant,
-    failure: Option<anyhow::Error>,
+    /// What is wrong with pictures that were left out.
+    left_out: Vec<anyhow::Error>,
 }
 
 enum Depth {
     Unknown,
     Eight(Frames<u8>),
     Sixteen(Frames<u16>),
+}
+
+impl Depth {
+    /// Frames that were worked on.
+    fn frames(&self) -> usize {
+        match self {
+            Self::Unknown => 0,
+            Self::Eight(f) => f.results.len(),
+            Self::Sixteen(f) => f.results.len(),
+        }
+    }
 }
 
 struct Frames<P: Pixel> {
@@ -81,6 +94,7 @@ pub struct Finished {
     pub measured: Measurement,
     /// How long after the last frame they stood.
     pub after: Duration,
+    left_out: Vec<String>,
     times: Times,
     begun: Instant,
 }
@@ -95,7 +109,7 @@ impl Live {
             depth: Depth::Unknown,
             begun: now,
             last: now,
-            failure: None,
+            left_out: Vec::new(),
         }
     }
 
@@ -110,9 +124,6 @@ impl Live {
     /// The next frame.
     pub fn push(&mut self, shot: &Shot) {
         self.last = shot.arrived;
-        if self.failure.is_some() {
-            return;
-        }
         if matches!(self.depth, Depth::Unknown) {
             self.depth = match &shot.picture {
                 Picture::Eight(_) => Depth::Eight(Frames::new(&self.rig, None)),
@@ -123,36 +134,44 @@ impl Live {
             (Depth::Eight(f), Picture::Eight(i)) => f.push(shot, i, &self.times),
             (Depth::Sixteen(f), Picture::Sixteen(i)) => f.push(shot, i, &self.times),
             _ => {
-                self.failure = Some(anyhow::anyhow!(
+                self.left_out.push(anyhow::anyhow!(
                     "frame {}: the camera has changed its depth in the middle of a scan",
                     shot.index
                 ));
                 return;
             }
         };
-        self.failure = done.err().map(anyhow::Error::from);
+        self.left_out.extend(done.err().map(anyhow::Error::from));
     }
 
     /// Plane, entry and needle, once the last frame is in.
     /// `file` is what an error names.
     pub fn decide(
-        self,
+        mut self,
         file: &Path,
         entry: &Entry,
         needle: &NeedleArgs,
     ) -> anyhow::Result<Finished> {
-        if let Some(failure) = self.failure {
-            return Err(failure);
+        // Nothing is left: the first says why.
+        if self.depth.frames() == 0 && !self.left_out.is_empty() {
+            return Err(self.left_out.swap_remove(0));
         }
         let (last, begun) = (self.last, self.begun);
+        let left_out: Vec<String> = self
+            .left_out
+            .iter()
+            .map(|e| format!("{e:#}: left out"))
+            .collect();
+        let (weak, times) = (left_out.clone(), &self.times);
         let measured = match self.depth {
-            Depth::Eight(f) => decide(f.in_order(), file, entry, needle, &self.times),
-            Depth::Sixteen(f) => decide(f.in_order(), file, entry, needle, &self.times),
+            Depth::Eight(f) => decide(f.in_order(), file, entry, needle, weak, times),
+            Depth::Sixteen(f) => decide(f.in_order(), file, entry, needle, weak, times),
             Depth::Unknown => anyhow::bail!("no frame arrived"),
         }?;
         Ok(Finished {
             measured,
             after: last.elapsed(),
+            left_out,
             times: self.times,
             begun,
         })
@@ -164,10 +183,11 @@ fn decide<P: Pixel>(
     file: &Path,
     entry: &Entry,
     needle: &NeedleArgs,
+    weak: Vec<String>,
     times: &Times,
 ) -> anyhow::Result<Measurement> {
     let settings = needle.settings().0;
-    Ok(whole.finish(file, entry.into(), &settings, Vec::new(), times)?)
+    Ok(whole.finish(file, entry.into(), &settings, weak, times)?)
 }
 
 impl Finished {
@@ -195,6 +215,10 @@ impl Finished {
             begun: self.begun,
             out,
         };
+        // They stand among the warnings already.
+        for words in &self.left_out {
+            out.warn(words);
+        }
         for words in weak {
             out.warn(&words);
             self.measured.warnings.push(words);
@@ -260,21 +284,38 @@ mod tests {
         needle: NeedleArgs,
     }
 
-    /// A position that was shot again comes last; cloud and needle must not know.
-    #[test]
-    fn frames_that_come_out_of_order_give_the_same_needle() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/tiny-1001");
-        let session = Session::open(&path).unwrap();
-        let rig = calibrate(&session, Method::Ml, &Times::default(), &Silent)
-            .unwrap()
-            .rig()
-            .unwrap();
-        let scan = session.manifest.scan.as_ref().unwrap();
-        let entry = session.manifest.entry.as_ref().unwrap();
-        let needle = Line::parse_from(["needle"]).needle;
-        let measure = |order: &[usize]| {
-            let mut live = Live::new(rig.clone());
-            live.ambient(&folder::read(&session.path(scan.ambient.as_ref().unwrap())).unwrap());
+    /// The committed recording's scan, its frames changed by `change` (which may leave one out).
+    struct Played {
+        session: Session,
+        rig: RigModel,
+        needle: NeedleArgs,
+    }
+
+    impl Played {
+        fn new() -> Self {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/tiny-1001");
+            let session = Session::open(&path).unwrap();
+            let calibrated = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
+            Self {
+                rig: calibrated.rig().unwrap(),
+                session,
+                needle: Line::parse_from(["needle"]).needle,
+            }
+        }
+
+        fn frames(&self) -> usize {
+            self.session.manifest.scan.as_ref().unwrap().frames.len()
+        }
+
+        fn measure(
+            &self,
+            order: &[usize],
+            change: impl Fn(usize, Picture) -> Picture,
+        ) -> anyhow::Result<Finished> {
+            let scan = self.session.manifest.scan.as_ref().unwrap();
+            let mut live = Live::new(self.rig.clone());
+            let read = |name: &String| folder::read(&self.session.path(name)).unwrap();
+            live.ambient(&read(scan.ambient.as_ref().unwrap()));
             for &i in order {
                 let frame = &scan.frames[i];
                 live.push(&Shot {
@@ -283,15 +324,21 @@ mod tests {
                     slide_mm: frame.slide_mm,
                     trigger_us: 0,
                     laser: true,
-                    picture: folder::read(&session.path(&frame.image)).unwrap(),
+                    picture: change(i, read(&frame.image)),
                     arrived: Instant::now(),
                 });
             }
-            live.decide(session.file(), entry, &needle)
-                .unwrap()
-                .measured
-        };
-        let straight: Vec<usize> = (0..scan.frames.len()).collect();
+            let entry = self.session.manifest.entry.as_ref().unwrap();
+            live.decide(self.session.file(), entry, &self.needle)
+        }
+    }
+
+    /// A position that was shot again comes last; cloud and needle must not know.
+    #[test]
+    fn frames_that_come_out_of_order_give_the_same_needle() {
+        let played = Played::new();
+        let measure = |order: &[usize]| played.measure(order, |_, p| p).unwrap().measured;
+        let straight: Vec<usize> = (0..played.frames()).collect();
         let middle = straight.len() / 2;
         let mut again = straight.clone();
         again.retain(|i| ![middle, middle + 3].contains(i));
@@ -302,5 +349,49 @@ mod tests {
         assert_eq!(a.decision.entry, b.decision.entry);
         assert_eq!(a.decision.plane.normal, b.decision.plane.normal);
         assert_eq!(a.decision.needle.axis, b.decision.needle.axis);
+    }
+
+    /// Black, overexposed, of another size, of another depth: each is named and left out, and what
+    /// comes out is what comes out without them.
+    #[test]
+    fn pictures_that_cannot_be_worked_on_are_named_and_left_out() {
+        let played = Played::new();
+        let all: Vec<usize> = (0..played.frames()).collect();
+        let bad = [3, 9, 14, 20];
+        let spoiled = played
+            .measure(&all, |i, picture| {
+                let (w, h) = picture.size();
+                match i {
+                    3 => Picture::Eight(Image::new(w, h, 0)),
+                    9 => Picture::Eight(Image::new(w, h, 255)),
+                    14 => Picture::Eight(Image::new(w / 2, h, 7)),
+                    20 => Picture::Sixteen(Image::new(w, h, 7)),
+                    _ => picture,
+                }
+            })
+            .unwrap();
+        assert_eq!(spoiled.left_out.len(), 4, "{:?}", spoiled.left_out);
+        for (words, i) in spoiled.left_out.iter().zip(bad) {
+            assert!(
+                words.starts_with(&format!("frame {i}: ")) && words.ends_with(": left out"),
+                "{words}"
+            );
+        }
+        let rest: Vec<usize> = all.iter().copied().filter(|i| !bad.contains(i)).collect();
+        let without = played.measure(&rest, |_, p| p).unwrap();
+        assert!(without.left_out.is_empty());
+        assert_eq!(spoiled.measured.cloud, without.measured.cloud);
+        assert_eq!(
+            spoiled.measured.decision.needle.axis,
+            without.measured.decision.needle.axis
+        );
+
+        // Nothing but such pictures: the first one's sentence.
+        let none = played.measure(&all, |_, picture| {
+            let (w, h) = picture.size();
+            Picture::Eight(Image::new(w, h, 0))
+        });
+        let said = none.err().unwrap().to_string();
+        assert!(said.starts_with("frame 0: "), "{said}");
     }
 }

@@ -156,7 +156,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 )
             })
         }
-        Command::Config => out.result(&json!({ "configuration": format!("{config:?}") }), || {
+        Command::Config => out.result(&json!({ "configuration": config }), || {
             format!("the board has taken\n{config:#?}")
         }),
         Command::Stop => finish(&board, board.stop(), &done),

@@ -32,14 +32,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             match Board::connect(&port.path) {
                 Ok(board) => {
                     let hello = board.hello();
-                    let [major, minor, patch] = hello.identity.firmware;
-                    let firmware = format!("{major}.{minor}.{patch}");
-                    let identity: String = hello
-                        .identity
-                        .board
-                        .iter()
-                        .map(|b| format!("{b:02x}"))
-                        .collect();
+                    let (identity, firmware) = link::identity_words(&hello.identity);
                     line += &format!(
                         "\n    board {identity}, firmware {firmware}, protocol {}, schema {:016x}, last start: {}",
                         hello.protocol, hello.schema, hello.reset

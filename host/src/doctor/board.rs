@@ -2,7 +2,7 @@
 
 use super::{Check, Checks, State};
 use crate::rig::config::Rig;
-use crate::rig::link::{Board, LinkError};
+use crate::rig::link::{Board, LinkError, identity_words};
 use crate::rig::open::OpenError;
 use cannula_shared::hello::ResetReason;
 use cannula_shared::message;
@@ -43,15 +43,8 @@ pub fn not_connected(e: &OpenError) -> Check {
 pub fn board(board: &Board, port: &str, rig: &Rig) -> Vec<Check> {
     let mut c = Checks::new("board");
     let hello = board.hello();
-    let identity: String = hello
-        .identity
-        .board
-        .iter()
-        .map(|b| format!("{b:02x}"))
-        .collect();
+    let (identity, firmware) = identity_words(&hello.identity);
     c.good("connection", format!("{port}: board {identity}"));
-    let [major, minor, patch] = hello.identity.firmware;
-    let firmware = format!("{major}.{minor}.{patch}");
     let ours = env!("CARGO_PKG_VERSION");
     let found = format!(
         "firmware {firmware}, protocol {}, schema {:016x}",

@@ -14,6 +14,8 @@ mod pipe;
 mod scan;
 mod session;
 
+use cannula_shared::hello::Identity;
+
 pub use board::{Board, Homed};
 pub use error::LinkError;
 pub use pipe::{Pipe, PortDescription, SerialPipe, ports};
@@ -22,3 +24,10 @@ pub use session::{Counts, Session};
 
 /// Whatever can go wrong here is a [`LinkError`].
 pub type Result<T> = std::result::Result<T, LinkError>;
+
+/// A board's number and its firmware's version, for people.
+pub fn identity_words(identity: &Identity) -> (String, String) {
+    let number = identity.board.iter().map(|b| format!("{b:02x}")).collect();
+    let [major, minor, patch] = identity.firmware;
+    (number, format!("{major}.{minor}.{patch}"))
+}

@@ -1,0 +1,119 @@
+//! `--json` of the commands that drive a rig: one JSON object on standard output, nothing else, also
+//! where a command warns or fails.
+
+use cannula_tests::program::{self, start, wait_output};
+use serde_json::Value;
+use std::time::Duration;
+
+/// See [`program::become_it`].
+#[test]
+fn the_program() {
+    program::become_it();
+}
+
+/// Exit status and standard output of the program alone.
+fn ran(words: &[&str]) -> (Option<i32>, String) {
+    let all = [&["--json"], words].concat();
+    let ended = wait_output(start(&all), Duration::from_secs(120));
+    // The harness announces the test before it becomes the program.
+    let (_, out) = ended.out.split_once("the_program ... ").expect("announced");
+    println!("{words:?}: {}", ended.said);
+    (ended.status, out.to_owned())
+}
+
+fn object(words: &[&str]) -> Value {
+    let (status, out) = ran(words);
+    assert_eq!(status, Some(0), "{words:?}: {out}");
+    let value: Value =
+        serde_json::from_str(&out).unwrap_or_else(|e| panic!("{words:?}: {e}: {out}"));
+    assert!(value.is_object(), "{words:?}: {out}");
+    value
+}
+
+#[test]
+fn hands_on_commands() {
+    let port = "--port=simulated";
+    let status = object(&["motion", port, "status"]);
+    assert_eq!(status["laser"], false);
+    assert_eq!(status["position_mm"], Value::Null);
+    assert_eq!(object(&["motion", port, "home"])["position_mm"], 0.0);
+    assert_eq!(object(&["motion", port, "trigger"])["laser"], false);
+    for command in ["stop", "release"] {
+        assert_eq!(object(&["motion", port, command])["moving"], false);
+    }
+    assert_eq!(object(&["motion", port, "reboot"])["rebooted"], true);
+    let taken = &object(&["motion", port, "config"])["configuration"];
+    assert_eq!(taken["steps_per_mm"]["numerator"], 800);
+    assert_eq!(taken["travel_um"], 300_000);
+    assert!(object(&["ports"])["ports"].is_array());
+    let example = object(&["config", "--example"]);
+    assert_eq!(example["board"]["travel_mm"], 300.0);
+    // What fails says so on standard error alone.
+    for (words, expected) in [
+        (vec!["motion", port, "move", "10"], 1),
+        (vec!["motion", port, "rearm"], 1),
+        (vec!["motion", "--port", "/nowhere/tty", "status"], 1),
+        (vec!["motion", port, "laser"], 2),
+        (vec!["config", "/nowhere/rig.toml"], 1),
+    ] {
+        assert_eq!(ran(&words), (Some(expected), String::new()), "{words:?}");
+    }
+}
+
+#[test]
+fn recording_scanning_replaying() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let config = path("rig.toml");
+    let text = "[board]\nport = \"simulated\"\nsettle_ms = 20.0\n\
+                [light]\nspacing_mm = 10.0\ncount = 7\n\
+                [simulation]\nseed = 6\nprofile = \"tiny\"\n";
+    std::fs::write(&config, text).unwrap();
+    let rig = ["--config", &config];
+    let session = path("session");
+    let capture = |what: &str, more: &[&str]| {
+        object(&[&["capture"], &rig[..], &[what, "--out", &session], more].concat())
+    };
+    assert_eq!(capture("camera", &["--poses", "12"])["poses"], 12);
+    // The same again, as after it was broken off: nothing twice.
+    assert_eq!(capture("camera", &["--poses", "12"])["poses"], 12);
+    assert_eq!(capture("light", &["--poses", "4"])["poses"], 4);
+    let outside = ["--entry", "900,10", "--vein", "10,10", "20,20"];
+    let words = [
+        &["capture"],
+        &rig[..],
+        &["scan", "--out", &session],
+        &outside,
+    ]
+    .concat();
+    assert_eq!(ran(&words), (Some(1), String::new()));
+    let inside = ["--entry", "160.5,120", "--vein", "158,130", "163,105"];
+    let scanned = capture("scan", &inside);
+    assert_eq!(
+        (&scanned["frames"], &scanned["stood"]),
+        (&31.into(), &0.into())
+    );
+    let text = std::fs::read(dir.path().join("session/session.json")).unwrap();
+    let manifest: Value = serde_json::from_slice(&text).unwrap();
+    assert_eq!(
+        manifest["entry"]["pixel"],
+        serde_json::json!([160.5, 120.0])
+    );
+    assert_eq!(manifest["entry"]["radius_mm"], 12.0);
+
+    let calibration = path("calibration.json");
+    object(&["calibrate", &session, "--out", &calibration]);
+    let out = path("scan");
+    let scan = [
+        &["scan"],
+        &rig[..],
+        &["--out", &out, "--calibration", &calibration],
+    ]
+    .concat();
+    assert_eq!(object(&scan)["planned"], 31);
+    let recorded = path("scan/session");
+    assert_eq!(
+        object(&["replay", &recorded, "--calibration", &calibration])["frames"],
+        31
+    );
+}
