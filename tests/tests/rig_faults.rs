@@ -4,7 +4,7 @@
 use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot};
 use cannula::rig::capture::{self, CaptureError, Step};
 use cannula::rig::config::Mode;
-use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
+use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
 use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula::rig::matching::Fault;
 use cannula::rig::open::{self, Opened};
@@ -220,8 +220,19 @@ fn broken_off(disk: bool) {
     // What was written is whole, and no session.json names a part of a scan.
     let folder = dir.path().join(if disk { "moved" } else { "scan" });
     let mut files = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
+    let mut first = Vec::new();
+    let mut entries: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    entries.sort();
+    for path in entries {
+        if path.ends_with("progress.jsonl") {
+            continue;
+        }
+        if !path.ends_with("ambient.png") {
+            first.push(std::fs::read(&path).unwrap());
+        }
         cannula::session::decode(&path).unwrap_or_else(|e| panic!("{e}"));
         files += 1;
     }
@@ -237,12 +248,29 @@ fn broken_off(disk: bool) {
     .unwrap();
     let session = cannula::session::Session::open(dir.path()).unwrap();
     let scan = session.manifest.scan.unwrap();
-    assert_eq!(scan.frames.len(), 12);
-    assert!(
-        scan.frames[0].image.starts_with("scan_1/"),
-        "{}",
-        scan.frames[0].image
-    );
+    // Where the folder was there it has gone on in it, with what stood: no image lies about.
+    let went_on = if disk { "scan_1" } else { "scan" };
+    let positions: Vec<i64> = scan.frames.iter().filter_map(|f| f.slide_steps).collect();
+    let unbroken: Vec<i64> = (0..12).map(|k| 800 * (16 + 2 * k)).collect();
+    assert_eq!(positions, unbroken);
+    for (frame, k) in scan.frames.iter().zip(0..) {
+        assert_eq!(frame.image, format!("{went_on}/{k:03}.png"));
+    }
+    let there = std::fs::read_dir(dir.path().join(went_on)).unwrap().count();
+    assert_eq!(there, 13, "twelve and the ambient one");
+    if !disk {
+        let again = scan.frames[..3].iter().zip(&first);
+        assert!(
+            first.len() >= 3
+                && again
+                    .into_iter()
+                    .all(|(f, image)| image == &session_image(dir.path(), f))
+        );
+    }
+}
+
+fn session_image(folder: &std::path::Path, frame: &cannula::session::Frame) -> Vec<u8> {
+    std::fs::read(folder.join(&frame.image)).unwrap()
 }
 
 #[test]
@@ -348,9 +376,10 @@ fn a_recording_is_replayed_frame_by_frame() {
     for missing in [None, Some(0), Some(7)] {
         let files = frames
             .iter()
+            .zip(trigger_times(&frames))
             .zip(0..)
             .filter(|(_, i)| Some(*i) != missing)
-            .map(|(f, i)| (session.path(&f.image), trigger_us(f, i)))
+            .map(|((f, time), _)| (session.path(&f.image), time))
             .collect();
         let mut camera = FolderCamera::of("replay".into(), files).unwrap();
         let mut ledger = RecordedLedger::new(&frames, 1000.0);

@@ -167,12 +167,93 @@ fn a_killed_program_leaves_the_laser_off_and_what_was_recorded() {
     assert!(session.manifest.scan.is_none());
     let rearmed = bench.run(&["motion", "rearm"]);
     assert_eq!(rearmed.0, Some(0), "{}", rearmed.1);
+    let stood: Vec<PathBuf> = images(&Path::new(&out).join("scan"));
+    let written: Vec<_> = stood
+        .iter()
+        .map(|p| std::fs::metadata(p).unwrap().modified().unwrap())
+        .collect();
+    assert!(stood.len() >= 4, "the ambient one and some: {stood:?}");
+    let fired = bench.rises(Pin::Trigger);
+
+    // With other settings it does not go on.
+    let other = bench.path("other.toml");
+    let text = std::fs::read_to_string(&bench.config).unwrap();
+    std::fs::write(&other, text.replace("spacing_mm = 1.0", "spacing_mm = 1.5")).unwrap();
+    let (status, said) = wait(
+        start(&["capture", "scan", "--out", &out, "--config", &other]),
+        LIMIT,
+    );
+    assert_eq!(status, Some(1), "{said}");
+    assert!(
+        said.contains("scan.spacing_mm = 1.0, now it is 1.5") && said.contains("--force"),
+        "{said}"
+    );
+
+    // With the same ones only what is missing is visited.
     let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
     assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("frames stood from before"), "{said}");
+    let visited = bench.rises(Pin::Trigger) - fired;
+    assert!(
+        visited <= 60 - (stood.len() - 1) + 6,
+        "{visited} with the clocks' anchors"
+    );
     let session = cannula::session::Session::open(Path::new(&out)).unwrap();
     let manifest = &session.manifest;
-    assert_eq!(manifest.scan.as_ref().unwrap().frames.len(), 60);
+    let frames = &manifest.scan.as_ref().unwrap().frames;
+    let steps: Vec<Option<i64>> = frames.iter().map(|f| f.slide_steps).collect();
+    let unbroken: Vec<Option<i64>> = (0..60).map(|k| Some(800 * (10 + k))).collect();
+    assert_eq!(steps, unbroken, "in the order of travel");
     assert_eq!(manifest.camera.len(), 2);
+    // Nothing lies about that session.json does not name, and what stood was not written again.
+    let mut named: Vec<PathBuf> = frames.iter().map(|f| session.path(&f.image)).collect();
+    named.push(session.path(manifest.scan.as_ref().unwrap().ambient.as_ref().unwrap()));
+    named.sort();
+    assert_eq!(images(&Path::new(&out).join("scan")), named);
+    let again: Vec<_> = stood
+        .iter()
+        .map(|p| std::fs::metadata(p).unwrap().modified().unwrap())
+        .collect();
+    assert_eq!(again, written);
+}
+
+/// A pose of the light planes that was killed in the middle is taken anew, in its own folder.
+#[test]
+fn a_light_pose_that_was_broken_off_leaves_nothing_behind() {
+    let bench = Bench::new();
+    let out = bench.path("session");
+    let mut child = bench.start(&["capture", "light", "--poses", "2", "--out", &out]);
+    let second = Path::new(&out).join("light/01/on_02.png");
+    bench.until(&mut child, "the second pose", || second.exists());
+    signal(&child, "KILL");
+    assert_eq!(wait(child, LIMIT).0, None);
+    std::thread::sleep(Duration::from_micros(LEASE_US));
+    let rearmed = bench.run(&["motion", "rearm"]);
+    assert_eq!(rearmed.0, Some(0), "{}", rearmed.1);
+    let (status, said) = bench.run(&["capture", "light", "--poses", "2", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    let light = &session.manifest.light;
+    let offs: Vec<&str> = light.iter().filter_map(|p| p.off.as_deref()).collect();
+    assert_eq!(offs, ["light/00/off.png", "light/01/off.png"]);
+    assert!(light.iter().all(|p| p.on.len() == 13));
+    assert_eq!(whole(Path::new(&out)), 28);
+    for (pose, folder) in light.iter().zip(["light/00", "light/01"]) {
+        assert_eq!(
+            images(&Path::new(&out).join(folder)).len(),
+            pose.on.len() + 1
+        );
+    }
+}
+
+/// What lies in a folder, by name, but for the file of a sweep under way.
+fn images(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path());
+    let mut all: Vec<PathBuf> = entries.filter(|p| !p.ends_with("progress.jsonl")).collect();
+    all.sort();
+    all
 }
 
 #[test]

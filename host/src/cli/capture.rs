@@ -4,13 +4,18 @@
 use super::Output;
 use super::live::complain;
 use super::rig::{RigArgs, interrupted, say_homed};
-use crate::progress::Progress;
+use crate::board::{BoardGeometry, Detection};
+use crate::geometry::Pose;
+use crate::pipeline::{Method, Times, calibrate};
+use crate::progress::{Progress, Silent};
 use crate::rig::acquisition::{AcquireError, Acquisition};
 use crate::rig::capture::{self, LightOutcome, PoseOutcome, Step};
 use crate::rig::guide::Guide;
+use crate::rig::light_guide::LightGuide;
 use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
-use crate::session::Session;
+use crate::rig::simulated::Stage;
+use crate::session::{Entry, Manifest, Session, check};
 use crate::simulation::{Subject, Truth};
 use serde_json::json;
 use std::path::PathBuf;
@@ -33,8 +38,58 @@ enum What {
     Camera(Common),
     /// The checkerboard in some poses, the slide visiting all positions in each.
     Light(Common),
-    /// One sweep over the hand.
-    Scan(Common),
+    /// One sweep over the hand; one that was broken off goes on (hand and light must not have moved).
+    Scan(ScanArgs),
+}
+
+#[derive(clap::Args, Debug)]
+struct ScanArgs {
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    entry: EntryArgs,
+}
+
+/// Where the needle is to go in.
+#[derive(clap::Args, Debug)]
+struct EntryArgs {
+    /// Entry pixel, recorded into session.json; with --vein.
+    #[arg(long, value_name = "U,V", value_parser = pixel, requires = "vein")]
+    entry: Option<[f64; 2]>,
+    /// Two or more pixels along the vein, in the direction of the needle.
+    #[arg(long, value_name = "U,V", value_parser = pixel, num_args = 2.., requires = "entry")]
+    vein: Vec<[f64; 2]>,
+    /// Radius of the region to which the plane is fitted.
+    #[arg(long, value_name = "MM", default_value_t = 12.0)]
+    radius: f64,
+}
+
+fn pixel(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some([u, v]) if u.is_finite() && v.is_finite() => Ok([*u, *v]),
+        _ => Err("give two numbers with a comma between: U,V in pixels".to_owned()),
+    }
+}
+
+impl EntryArgs {
+    /// The entry that they give, checked against the image.
+    fn entry(&self, recording: &Recording) -> anyhow::Result<Option<Entry>> {
+        let Some(pixel) = self.entry else {
+            return Ok(None);
+        };
+        let entry = Entry {
+            pixel,
+            vein: self.vein.clone(),
+            radius_mm: self.radius,
+        };
+        let manifest = Manifest {
+            entry: Some(entry.clone()),
+            ..recording.manifest.clone()
+        };
+        check(&manifest, &recording.folder().join("session.json"))?;
+        Ok(Some(entry))
+    }
 }
 
 #[derive(clap::Args, Debug)]
@@ -42,7 +97,7 @@ struct Common {
     /// The recording: a folder, made if it is not there.
     #[arg(long, value_name = "SESSION")]
     out: PathBuf,
-    /// Take so many poses without asking.
+    /// Take poses without asking until the recording has so many.
     #[arg(long, value_name = "N")]
     poses: Option<usize>,
     /// With --poses: wait so long before each.
@@ -60,13 +115,22 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut opened = open::open(&rig)?;
     opened.board.heed(cancel);
     out.say(&format!("camera: {}", opened.camera.description()));
-    say_homed(open::ready(&opened.board, &rig)?, &rig, out);
     let size = opened.camera.size();
     let geometry = rig.geometry();
     let common = match &args.what {
-        What::Camera(c) | What::Light(c) | What::Scan(c) => c,
+        What::Camera(c) | What::Light(c) => c,
+        What::Scan(s) => &s.common,
     };
     let mut recording = Recording::open(&common.out, size, &geometry)?;
+    // Before anything moves.
+    let entry = match &args.what {
+        What::Scan(s) => {
+            recording.scan_folder(common.force)?;
+            s.entry.entry(&recording)?
+        }
+        What::Camera(_) | What::Light(_) => None,
+    };
+    say_homed(open::ready(&opened.board, &rig)?, &rig, out);
     let Opened {
         board,
         camera,
@@ -88,13 +152,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     Some(next) => out.say(&format!("{}; next: {next}", guide.summary())),
                     None => out.say(&format!("{}: that is enough", guide.summary())),
                 }
-                if !operator.go_on("take this pose", next.is_none())? {
+                let have = recording.manifest.camera.len();
+                if !operator.go_on("take this pose", next.is_none(), have)? {
                     break;
                 }
                 // On the simulated rig somebody has to move the board.
-                if let (Some(stage), Some(renderer)) = (&stage, &scene) {
-                    let poses = &renderer.scene().camera_poses;
-                    stage.show(&Subject::Board(poses[operator.taken % poses.len()]));
+                if let (Some(stage), Some(renderer)) = (stage.as_ref(), &scene)
+                    && !operator.show(stage, &renderer.scene().camera_poses, have)
+                {
+                    break;
                 }
                 let ms = rig.camera.exposure_board_ms;
                 match capture::camera_pose(
@@ -109,14 +175,14 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                         seen,
                         warning,
                     } => {
+                        operator.found();
                         out.say(&format!("{image}: board found, {seen}"));
                         if let Some(warning) = warning {
                             out.warn(&warning);
                         }
                     }
-                    PoseOutcome::NotFound(why) => out.warn(&format!("not taken: {why}")),
+                    PoseOutcome::NotFound(why) => operator.missed(&why.to_string())?,
                 }
-                operator.taken += 1;
             }
             let object = json!({
                 "session": common.out, "poses": recording.manifest.camera.len(),
@@ -131,57 +197,69 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 recording.manifest.light.clear();
             }
             let scene = stage.as_ref().map(|s| s.renderer().clone());
+            let mut guide = known_light(&recording, &geometry, size, out)?;
+            let mut verdict = None;
             loop {
-                let poses = recording.manifest.light.len();
-                let hint = if poses < 4 {
-                    format!(
-                        "{poses} poses; 6 or more, at different distances and tilts, the line crossing the board at every position"
-                    )
-                } else {
-                    format!("{poses} poses; more at other distances and tilts do no harm")
-                };
-                out.say(&hint);
-                if !operator.go_on("sweep over this pose (keep the board still)", poses >= 6)? {
+                // Where the spread is enough, the calibration itself has the last word.
+                let next = guide.next().or_else(|| verdict.take().flatten());
+                match &next {
+                    Some(next) => out.say(&format!("{}; next: {next}", guide.summary())),
+                    None => out.say(&format!("{}: that is enough", guide.summary())),
+                }
+                let have = recording.manifest.light.len();
+                let what = "sweep over this pose (keep the board still)";
+                if !operator.go_on(what, next.is_none(), have)? {
                     break;
                 }
-                if let (Some(stage), Some(renderer)) = (&stage, &scene) {
-                    let poses = &renderer.scene().light_poses;
-                    stage.show(&Subject::Board(poses[operator.taken % poses.len()]));
+                if let (Some(stage), Some(renderer)) = (stage.as_ref(), &scene)
+                    && !operator.show(stage, &renderer.scene().light_poses, have)
+                {
+                    break;
                 }
                 out.start("slide positions", rig.light.count as usize);
-                let outcome =
-                    capture::light_pose(&mut acquisition, &rig, &mut recording, &mut || out.step());
+                let outcome = capture::light_pose(
+                    &mut acquisition,
+                    &rig,
+                    &mut recording,
+                    &mut guide,
+                    &mut || out.step(),
+                );
                 out.finish();
                 match outcome? {
                     LightOutcome::Taken {
                         folder,
+                        seen,
                         sweep,
                         waited,
                     } => {
+                        operator.found();
                         out.say(&format!(
-                            "{folder}: {} of {} positions",
+                            "{folder}: {} of {} positions, board {seen}",
                             sweep.shots, sweep.planned
                         ));
                         complain(&sweep, waited, out);
+                        if guide.next().is_none() {
+                            verdict = Some(lacking(&recording, out)?);
+                        }
                     }
-                    LightOutcome::NotFound(why) => out.warn(&format!("not taken: {why}")),
+                    LightOutcome::NotFound(why) => operator.missed(&why.to_string())?,
                 }
-                operator.taken += 1;
             }
-            let object = json!({ "session": common.out, "poses": recording.manifest.light.len() });
+            let object = json!({
+                "session": common.out, "poses": recording.manifest.light.len(),
+                "depth_spread": guide.depth(), "enough": guide.next().is_none(),
+            });
             out.result(&object, || {
-                format!(
-                    "{}: {} poses of the light planes",
-                    common.out.display(),
-                    recording.manifest.light.len()
-                )
+                format!("{}: {}", common.out.display(), guide.summary())
             })
         }
-        What::Scan(c) => {
+        What::Scan(s) => {
+            let c = &s.common;
             if let Some(stage) = &stage {
                 stage.show(&Subject::Hand);
                 recording.manifest.entry = Truth::new(stage.renderer().scene()).map(|t| t.entry);
             }
+            recording.manifest.entry = entry.or(recording.manifest.entry.take());
             out.start("scan", rig.scan.count as usize);
             let scanned = capture::scan(
                 &mut acquisition,
@@ -197,10 +275,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             );
             out.finish();
             let scanned = scanned?;
+            if scanned.stood > 0 {
+                out.say(&format!(
+                    "{} frames stood from before; the scan went on",
+                    scanned.stood
+                ));
+            }
             complain(&scanned.sweep, scanned.waited, out);
             let object = json!({
                 "session": common.out, "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
-                "faults": scanned.sweep.complaints(),
+                "stood": scanned.stood, "faults": scanned.sweep.complaints(),
             });
             out.result(&object, || {
                 format!(
@@ -217,32 +301,86 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
 /// What earlier poses of the recording have covered.
 fn known(
     recording: &Recording,
-    geometry: &crate::board::BoardGeometry,
+    geometry: &BoardGeometry,
     size: (u32, u32),
     out: &Output,
 ) -> anyhow::Result<Guide> {
     let mut guide = Guide::new(size.0, size.1);
-    if recording.manifest.camera.is_empty() {
-        return Ok(guide);
+    let images = recording.manifest.camera.iter().map(|view| &view.image);
+    earlier(recording, images.collect(), geometry, out, |detection| {
+        guide.add(detection, geometry);
+    })?;
+    Ok(guide)
+}
+
+/// The same of the light planes.
+fn known_light(
+    recording: &Recording,
+    geometry: &BoardGeometry,
+    size: (u32, u32),
+    out: &Output,
+) -> anyhow::Result<LightGuide> {
+    let mut guide = LightGuide::new(size.0, size.1);
+    let poses = recording.manifest.light.iter();
+    let images = poses.filter_map(|p| p.off.as_ref().or(p.on.first().map(|f| &f.image)));
+    earlier(recording, images.collect(), geometry, out, |detection| {
+        guide.add(detection, geometry);
+    })?;
+    Ok(guide)
+}
+
+fn earlier(
+    recording: &Recording,
+    images: Vec<&String>,
+    geometry: &BoardGeometry,
+    out: &Output,
+    mut found: impl FnMut(&Detection),
+) -> anyhow::Result<()> {
+    if images.is_empty() {
+        return Ok(());
     }
-    let session = Session::open(recording.folder())?;
-    out.start("earlier poses", session.manifest.camera.len());
-    for view in &session.manifest.camera {
-        let picture = crate::rig::folder::read(&recording.path(&view.image))?;
+    out.start("earlier poses", images.len());
+    for image in images {
+        let picture = crate::rig::folder::read(&recording.path(image))?;
         if let Ok(detection) = capture::detect(&picture, geometry) {
-            guide.add(&detection, geometry);
+            found(&detection);
         }
         out.step();
     }
     out.finish();
-    Ok(guide)
+    Ok(())
 }
+
+/// What the calibration's own gates find lacking in a recording that has poses of both kinds; `None`
+/// if it stands.
+fn lacking(recording: &Recording, out: &Output) -> anyhow::Result<Option<String>> {
+    if recording.manifest.camera.is_empty() {
+        return Ok(None);
+    }
+    let session = Session::open(recording.folder())?;
+    Ok(
+        match calibrate(&session, Method::Ml, &Times::default(), &Silent) {
+            Ok(calibrated) => {
+                for warning in &calibrated.warnings {
+                    out.warn(warning);
+                }
+                None
+            }
+            Err(e) => Some(format!("it would not calibrate yet: {e}")),
+        },
+    )
+}
+
+/// Pictures in a row without a board after which one that nobody watches ends.
+const MISSES: usize = 5;
 
 /// Who says when a pose is ready: somebody at the keyboard, or a number given beforehand.
 struct Operator<'a> {
     poses: Option<usize>,
     every: Duration,
-    taken: usize,
+    /// Poses in which no board was found: all, and in a row.
+    missed: usize,
+    in_a_row: usize,
     cancel: &'a AtomicBool,
     /// Lines from the keyboard: read elsewhere, so that Ctrl-C is heeded meanwhile.
     keyboard: Option<Receiver<std::io::Result<String>>>,
@@ -254,22 +392,54 @@ impl<'a> Operator<'a> {
         Self {
             poses: common.poses,
             every: Duration::from_secs_f64(common.every.clamp(0.0, 3600.0)),
-            taken: 0,
+            missed: 0,
+            in_a_row: 0,
             cancel,
             keyboard: None,
             out,
         }
     }
 
-    /// Whether to take another pose. `enough`: it would be the user's own wish.
-    fn go_on(&mut self, what: &str, enough: bool) -> anyhow::Result<bool> {
+    fn found(&mut self) {
+        self.in_a_row = 0;
+    }
+
+    /// No board in the picture.
+    fn missed(&mut self, why: &str) -> anyhow::Result<()> {
+        self.missed += 1;
+        self.in_a_row += 1;
+        self.out.warn(&format!("not taken: {why}"));
+        anyhow::ensure!(
+            self.poses.is_none() || self.in_a_row < MISSES,
+            "no board in {MISSES} pictures in a row, the last one: {why}; what was recorded before stands"
+        );
+        Ok(())
+    }
+
+    /// Moves the simulated board to its next pose; false when the scene has no further one. A
+    /// recording that has `have` poses goes on with those that follow.
+    fn show(&self, stage: &Stage, poses: &[Pose], have: usize) -> bool {
+        let Some(pose) = poses.get(have + self.missed) else {
+            self.out.say(&format!(
+                "the simulated scene has these {} poses",
+                poses.len()
+            ));
+            return false;
+        };
+        stage.show(&Subject::Board(*pose));
+        true
+    }
+
+    /// Whether to take another pose beside the `have` of the recording. `enough`: it would be the
+    /// user's own wish.
+    fn go_on(&mut self, what: &str, enough: bool, have: usize) -> anyhow::Result<bool> {
         if let Some(poses) = self.poses {
             let began = Instant::now();
-            while self.taken < poses && began.elapsed() < self.every {
+            while have < poses && began.elapsed() < self.every {
                 heed(self.cancel)?;
                 std::thread::sleep(Duration::from_millis(10));
             }
-            return Ok(self.taken < poses);
+            return Ok(have < poses);
         }
         let end = if enough {
             "q or end of input to finish"

@@ -15,6 +15,7 @@ use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{LightOutcome, PoseOutcome, Step, camera_pose, light_pose, scan};
 use crate::rig::config::Rig;
 use crate::rig::guide::Guide;
+use crate::rig::light_guide::LightGuide;
 use crate::rig::open::{self, SIMULATED};
 use crate::rig::recording::Recording;
 use crate::session::Session;
@@ -201,14 +202,22 @@ fn record(
         "board poses, laser",
         scene.light_poses.len() * rig.light.count as usize,
     );
+    let mut guide = LightGuide::new(size.0, size.1);
     for pose in &scene.light_poses {
         stage.show(&Subject::Board(*pose));
         stage.take_lit();
-        match light_pose(&mut acquisition, rig, &mut recording, &mut || out.step())? {
+        match light_pose(
+            &mut acquisition,
+            rig,
+            &mut recording,
+            &mut guide,
+            &mut || out.step(),
+        )? {
             LightOutcome::Taken {
                 folder,
                 sweep,
                 waited,
+                ..
             } => {
                 complain(&sweep, waited, out);
                 recorded

@@ -9,7 +9,7 @@ use crate::output::{CalibrationFile, ScanProvenance, read_calibration};
 use crate::pipeline::{Method, Times, belong_together, calibrate};
 use crate::progress::Progress;
 use crate::rig::acquisition::{Follow, Shot};
-use crate::rig::folder::{self, FolderCamera, RecordedLedger, recorded_anchor, trigger_us};
+use crate::rig::folder::{self, FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
 use crate::session::Session;
 use serde_json::json;
 use std::path::PathBuf;
@@ -69,8 +69,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let files = scan
         .frames
         .iter()
-        .zip(0..)
-        .map(|(f, i)| (session.path(&f.image), trigger_us(f, i)))
+        .zip(trigger_times(&scan.frames))
+        .map(|(f, time)| (session.path(&f.image), time))
         .collect();
     let mut camera = FolderCamera::of(args.session.display().to_string(), files)?;
     let mut ledger = RecordedLedger::new(&scan.frames, STEPS_PER_MM);

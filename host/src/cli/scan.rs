@@ -120,6 +120,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     );
     out.finish();
     let scanned = scanned?;
+    if scanned.stood > 0 {
+        out.say(&format!(
+            "{} frames stood from before; the scan went on",
+            scanned.stood
+        ));
+    }
     complain(&scanned.sweep, scanned.waited, out);
     // The recording stands; now whether it gave an angle.
     let finished = finished.unwrap_or_else(|| Err(anyhow::anyhow!("no frame arrived")));
@@ -148,7 +154,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     )?;
     let after = finished.after.as_secs_f64() * 1000.0;
     let object = json!({
-        "frames": scanned.sweep.shots, "planned": scanned.sweep.planned,
+        "frames": scanned.sweep.shots, "planned": scanned.sweep.planned, "stood": scanned.stood,
         "faults": scanned.sweep.complaints(),
         "clock": scanned.sweep.clock.map(|(offset_us, drift)| json!({ "offset_us": offset_us, "drift_ppm": drift * 1e6 })),
         "milliseconds_after_last_frame": after,

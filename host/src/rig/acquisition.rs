@@ -261,6 +261,12 @@ impl<'a> Acquisition<'a> {
         Ok(self.wait_frame()?.map(|frame| (trigger, frame)))
     }
 
+    /// Finds the home switch anew.
+    pub fn home(&mut self) -> Result<(), AcquireError> {
+        self.board.home()?;
+        Ok(())
+    }
+
     /// Ties the camera's clock to the board's: two single triggers whose frames follow them by the
     /// same time. One alone could be answered by the frame of an earlier one.
     pub fn anchor(&mut self) -> Result<Anchor, AcquireError> {
@@ -359,11 +365,12 @@ impl<'a> Acquisition<'a> {
     /// Carries out a sweep; `sink` sees each shot as soon as it is matched (re-shot ones last).
     pub fn sweep(&mut self, request: &ScanRequest, sink: &mut Sink) -> Result<Sweep, AcquireError> {
         if self.rig.camera.trigger != TriggerSource::Board {
-            return self.sweep_by_camera(request, sink);
+            let all: Vec<u32> = (0..request.count).collect();
+            return self.visit(request, &all, sink);
         }
         let anchor = self.anchor()?;
         let mut scan = self.board.scan(request)?;
-        let (rig, board) = (self.rig, self.board);
+        let rig = self.rig;
         let mut follow = Follow {
             camera: self.camera,
             cancel: self.cancel,
@@ -375,22 +382,11 @@ impl<'a> Acquisition<'a> {
         let (mut sweep, unpaired) = follow.run(&mut scan, anchor, &mut make)?;
         drop(scan);
         sweep.planned = request.count;
-        for trigger in unpaired {
-            if request.mode != ScanMode::StopAndShoot {
-                sweep.missing.push(trigger.index);
-                continue;
-            }
-            board.move_to(trigger.position, 0)?;
-            self.rest(self.rig.board.settle_ms)?;
-            match self.still(trigger.index, request.laser != ScanLaser::Off) {
-                Ok(shot) => {
-                    sweep.reshot.push(trigger.index);
-                    sweep.shots += 1;
-                    sink(shot)?;
-                }
-                Err(AcquireError::NoFrames { .. }) => sweep.missing.push(trigger.index),
-                Err(e) => return Err(e),
-            }
+        let lost: Vec<u32> = unpaired.iter().map(|t| t.index).collect();
+        if request.mode == ScanMode::StopAndShoot {
+            self.visit_into(request, &lost, &mut sweep, true, sink)?;
+        } else {
+            sweep.missing = lost;
         }
         Ok(sweep)
     }
@@ -512,6 +508,18 @@ fn frame_stamp(frame: &Frame) -> FrameStamp {
 }
 
 impl Sweep {
+    /// Takes in a sweep over the positions from `first` on.
+    pub fn join(&mut self, later: Self, first: u32) {
+        self.planned += later.planned;
+        self.shots += later.shots;
+        let faults = later.faults.into_iter();
+        self.faults.extend(faults.map(|f| f.shifted(first)));
+        let shifted = |indices: Vec<u32>| indices.into_iter().map(move |i| i + first);
+        self.reshot.extend(shifted(later.reshot));
+        self.missing.extend(shifted(later.missing));
+        self.clock = later.clock.or(self.clock);
+    }
+
     /// What went wrong, a line each.
     pub fn complaints(&self) -> Vec<String> {
         let mut lines: Vec<String> = self.faults.iter().map(ToString::to_string).collect();

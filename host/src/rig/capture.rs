@@ -1,14 +1,19 @@
 //! The steps of a recording on any rig: a board pose for the camera, a board pose for the light
 //! planes, the scan of the hand. Shared by `cannula capture`, `scan` and `demo`.
 
-use super::acquisition::{AcquireError, Acquisition, Shot, Sweep};
+use super::acquisition::{AcquireError, Acquisition, Shot, Sink, Sweep};
 use super::camera::Picture;
+use super::folder;
 use super::guide::{Guide, Seen};
+use super::light_guide::LightGuide;
+use super::progress;
 use super::recording::{Recording, RecordingError};
 use crate::board::{self, BoardGeometry, Detection, NotFound};
+use crate::image::{Image, Pixel};
 use crate::session::Frame;
+use cannula_shared::message::ScanRequest;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Why a step of a recording failed.
 #[derive(Debug, thiserror::Error)]
@@ -66,6 +71,8 @@ pub enum LightOutcome {
     Taken {
         /// Its folder.
         folder: String,
+        /// How the board lay.
+        seen: Seen,
         /// How the sweep went.
         sweep: Sweep,
         /// Time that the disk made the camera's side wait.
@@ -80,6 +87,8 @@ pub enum LightOutcome {
 pub struct Scanned {
     /// How the sweep went.
     pub sweep: Sweep,
+    /// Frames that stood already, of a scan that was broken off.
+    pub stood: usize,
     /// Time that the disk made the camera's side wait.
     pub waited: Duration,
     /// session.json.
@@ -137,14 +146,17 @@ pub fn light_pose(
     acquisition: &mut Acquisition,
     rig: &super::config::Rig,
     recording: &mut Recording,
+    guide: &mut LightGuide,
     shown: &mut dyn FnMut(),
 ) -> Result<LightOutcome, CaptureError> {
     acquisition.expose(rig.camera.exposure_laser_ms)?;
     let off_shot = acquisition.still(0, false)?;
-    if let Err(why) = detect(&off_shot.picture, &rig.geometry()) {
-        return Ok(LightOutcome::NotFound(why));
-    }
-    let folder = recording.light_folder();
+    let geometry = rig.geometry();
+    let detection = match detect(&off_shot.picture, &geometry) {
+        Ok(detection) => detection,
+        Err(why) => return Ok(LightOutcome::NotFound(why)),
+    };
+    let (folder, mut progress) = recording.begin_light(progress::Settings::new())?;
     let off = format!("{folder}/off.png");
     recording.write(&off, &off_shot.picture)?;
     let request = rig.light_request();
@@ -153,7 +165,9 @@ pub fn light_pose(
     let sweep = acquisition.sweep(&request, &mut |shot: Shot| {
         let image = format!("{folder}/on_{:02}.png", shot.index);
         let path = recording.path(&image);
-        frames.push(frame_of(&shot, image));
+        let frame = frame_of(&shot, image);
+        progress.add(shot.index, frame.clone())?;
+        frames.push(frame);
         writer.push(path, shot.picture)?;
         shown();
         Ok(())
@@ -164,8 +178,10 @@ pub fn light_pose(
         return Err(too_few(&sweep));
     }
     recording.add_light(Some(off), frames)?;
+    progress.finish()?;
     Ok(LightOutcome::Taken {
         folder,
+        seen: guide.add(&detection, &geometry),
         sweep,
         waited: written.waited,
     })
@@ -185,7 +201,7 @@ pub enum Step<'a> {
 /// What looks at a scan as it is taken; an error ends it.
 pub type Live<'a> = dyn FnMut(Step) -> Result<(), AcquireError> + 'a;
 
-/// Takes the scan of the hand.
+/// Takes the scan of the hand, or what is missing of one that was broken off.
 pub fn scan(
     acquisition: &mut Acquisition,
     rig: &super::config::Rig,
@@ -193,34 +209,136 @@ pub fn scan(
     force: bool,
     live: &mut Live,
 ) -> Result<Scanned, CaptureError> {
-    let folder = recording.scan_folder(force)?;
+    let (folder, mut progress) = recording.begin_scan(force, progress::settings(rig))?;
+    let mut frames: Vec<Frame> = progress.frames().iter().map(|(_, f)| f.clone()).collect();
+    let stood = frames.len();
     acquisition.expose(rig.camera.exposure_laser_ms)?;
-    let ambient_shot = acquisition.still(0, false)?;
+    if stood > 0 {
+        // Steps count from the switch, and who knows what the slide has been through.
+        acquisition.home()?;
+    }
     let ambient = format!("{folder}/ambient.png");
-    recording.write(&ambient, &ambient_shot.picture)?;
-    live(Step::Ambient(&ambient_shot.picture))?;
+    let ambient_picture = acquisition.still(0, false)?.picture;
+    if stood > 0 {
+        let path = recording.path(&ambient);
+        let then = folder::read(&path).map_err(AcquireError::from)?;
+        let percent = 100.0 * changed(&then, &ambient_picture);
+        if percent > CHANGED_PERCENT {
+            return Err(RecordingError::Changed { path, percent }.into());
+        }
+        live(Step::Ambient(&then))?;
+        for (index, frame) in progress.frames() {
+            let picture =
+                folder::read(&recording.path(&frame.image)).map_err(AcquireError::from)?;
+            live(Step::Shot(&recorded(*index, frame, picture)))?;
+        }
+    } else {
+        recording.write(&ambient, &ambient_picture)?;
+        live(Step::Ambient(&ambient_picture))?;
+    }
     let request = rig.scan_request();
+    let missing: Vec<u32> = (0..request.count)
+        .filter(|i| progress.frames().iter().all(|(index, _)| index != i))
+        .collect();
     let mut writer = Recording::writer()?;
-    let mut frames = Vec::new();
-    let sweep = acquisition.sweep(&request, &mut |shot: Shot| {
+    let mut sink = |shot: Shot| {
         let image = format!("{folder}/{:03}.png", shot.index);
         let path = recording.path(&image);
-        frames.push(frame_of(&shot, image));
+        let frame = frame_of(&shot, image);
+        progress.add(shot.index, frame.clone())?;
+        frames.push(frame);
         live(Step::Shot(&shot))?;
         writer.push(path, shot.picture)?;
         Ok(())
-    })?;
+    };
+    let mut sweep = if stood > 0 {
+        remaining(acquisition, &request, &missing, &mut sink)?
+    } else {
+        acquisition.sweep(&request, &mut sink)?
+    };
+    sweep.planned = request.count;
+    sweep.shots += stood as u32;
     if sweep.shots == 0 {
         return Err(too_few(&sweep));
     }
     live(Step::Swept)?;
     let written = writer.finish()?;
     recording.set_scan(Some(ambient), frames)?;
+    progress.finish()?;
     Ok(Scanned {
         sweep,
+        stood,
         waited: written.waited,
         session: recording.folder().join("session.json"),
     })
+}
+
+/// What is missing of a scan: gaps one by one, then the rest of the way as a sweep of its own. (A plan's
+/// steps depend on each position alone, not on where the sweep begins.)
+fn remaining(
+    acquisition: &mut Acquisition,
+    request: &ScanRequest,
+    missing: &[u32],
+    sink: &mut Sink,
+) -> Result<Sweep, AcquireError> {
+    let tail = std::iter::zip(missing.iter().rev(), (0..request.count).rev())
+        .take_while(|(missing, index)| *missing == index)
+        .count();
+    let (gaps, tail) = missing.split_at(missing.len() - tail);
+    let mut sweep = acquisition.visit(request, gaps, sink)?;
+    if let Some(&first) = tail.first() {
+        let rest = ScanRequest {
+            start_um: request.start_um + (first * request.spacing_um) as i32,
+            count: tail.len() as u32,
+            ..*request
+        };
+        let swept = acquisition.sweep(&rest, &mut |shot| {
+            let index = shot.index + first;
+            sink(Shot { index, ..shot })
+        })?;
+        sweep.join(swept, first);
+    }
+    Ok(sweep)
+}
+
+/// More of the image than this may not differ between two pictures of a scene that stands still, %:
+/// the outline of a hand that has moved by a pixel is more.
+const CHANGED_PERCENT: f64 = 0.1;
+
+/// How much of the image differs by more than noise does.
+fn changed(then: &Picture, now: &Picture) -> f64 {
+    fn part<P: Pixel>(a: &Image<P>, b: &Image<P>) -> f64 {
+        let values = |i: &Image<P>| -> Vec<f32> { i.pixels().iter().map(|&p| p.into()).collect() };
+        let mut apart: Vec<f32> = std::iter::zip(values(a), values(b))
+            .map(|(p, q)| (p - q).abs())
+            .collect();
+        if a.pixels().len() != b.pixels().len() || apart.is_empty() {
+            return 1.0;
+        }
+        let middle = apart.len() / 2;
+        let (_, median, _) = apart.select_nth_unstable_by(middle, f32::total_cmp);
+        // Eight standard deviations of the middling pixel, and 2 % of the range for the bright ones.
+        let limit = 8.0 * 1.4826 * *median + 0.02 * P::MAX;
+        apart.iter().filter(|d| **d > limit).count() as f64 / apart.len() as f64
+    }
+    match (then, now) {
+        (Picture::Eight(a), Picture::Eight(b)) => part(a, b),
+        (Picture::Sixteen(a), Picture::Sixteen(b)) => part(a, b),
+        _ => 1.0,
+    }
+}
+
+/// A shot from the recording.
+fn recorded(index: u32, frame: &Frame, picture: Picture) -> Shot {
+    Shot {
+        index,
+        steps: frame.slide_steps.unwrap_or_default(),
+        slide_mm: frame.slide_mm,
+        trigger_us: frame.trigger_us.unwrap_or_default(),
+        laser: true,
+        picture,
+        arrived: Instant::now(),
+    }
 }
 
 fn too_few(sweep: &Sweep) -> CaptureError {

@@ -145,8 +145,9 @@ impl RecordedLedger {
     pub fn new(frames: &[session::Frame], steps_per_mm: f64) -> Self {
         let lines = frames
             .iter()
+            .zip(trigger_times(frames))
             .zip(0..)
-            .map(|(frame, index)| Trigger {
+            .map(|((frame, time), index)| Trigger {
                 job: 1,
                 index,
                 position: Steps(
@@ -155,7 +156,7 @@ impl RecordedLedger {
                         .unwrap_or((frame.slide_mm * steps_per_mm).round() as i64)
                         as i32,
                 ),
-                time: Micros(trigger_us(frame, index) as u64),
+                time: Micros(time as u64),
                 laser: true,
             })
             .collect();
@@ -163,17 +164,25 @@ impl RecordedLedger {
     }
 }
 
-/// When a recorded frame was triggered, µs of the board's clock.
-pub fn trigger_us(frame: &session::Frame, index: u32) -> i64 {
-    frame
-        .trigger_us
-        .and_then(|t| i64::try_from(t).ok())
-        .unwrap_or(1_000_000 + i64::from(index) * SPACING_US)
+/// When recorded frames were triggered, µs of the board's clock: as recorded, where these times go up
+/// with the travel. They do not where a position was visited again or a scan went on later; the
+/// frames then follow each other evenly.
+pub fn trigger_times(frames: &[session::Frame]) -> Vec<i64> {
+    let recorded: Option<Vec<i64>> = frames
+        .iter()
+        .map(|f| f.trigger_us.and_then(|t| i64::try_from(t).ok()))
+        .collect();
+    recorded
+        .filter(|times| times.is_sorted_by(|a, b| a < b))
+        .unwrap_or_else(|| {
+            let all = 0..frames.len() as i64;
+            all.map(|i| 1_000_000 + i * SPACING_US).collect()
+        })
 }
 
 /// The anchor that goes with [`FolderCamera::of`].
 pub fn recorded_anchor(frames: &[session::Frame]) -> super::matching::Anchor {
-    let first = frames.first().map_or(0, |f| trigger_us(f, 0));
+    let first = trigger_times(frames).first().copied().unwrap_or(0);
     super::matching::Anchor::from_pair(first, first + CLOCK_US)
 }
 

@@ -46,6 +46,8 @@ pub struct Seen {
     pub tilt_deg: f64,
     /// Its direction.
     pub tilt: Tilt,
+    /// From the camera to the board's middle along the optical axis, mm (likewise).
+    pub distance_mm: f64,
 }
 
 const DIRECTIONS: [(Tilt, &str); 4] = [
@@ -100,6 +102,7 @@ impl Guide {
         let none = Seen {
             tilt_deg: 0.0,
             tilt: Tilt::None,
+            distance_mm: 0.0,
         };
         let f = FOCAL_GUESS * self.width;
         let camera = Matrix3::new(
@@ -118,6 +121,10 @@ impl Guide {
         };
         // K⁻¹·H = [r1 r2 t] up to scale; the normal is r1 × r2, away from the camera.
         let m = inverse * h.0;
+        let scale = 0.5 * (m.column(0).norm() + m.column(1).norm());
+        let middle = 0.5 * (flat[0] + flat[flat.len() - 1]);
+        let at = m.column(0) * middle.x + m.column(1) * middle.y + m.column(2);
+        let distance_mm = (at.z / scale).abs();
         let n = m.column(0).cross(&m.column(1));
         let n = if n.z < 0.0 { -n } else { n }.normalize();
         let tilt_deg = n.z.clamp(-1.0, 1.0).acos().to_degrees();
@@ -129,12 +136,27 @@ impl Guide {
             (true, false) if n.y > 0.0 => Tilt::BottomNear,
             (true, false) => Tilt::TopNear,
         };
-        Seen { tilt_deg, tilt }
+        Seen {
+            tilt_deg,
+            tilt,
+            distance_mm,
+        }
     }
 
     /// Poses taken in.
     pub fn poses(&self) -> usize {
         self.poses
+    }
+
+    /// Sides to which it was tilted, of four.
+    pub fn sides(&self) -> usize {
+        self.tilts.iter().filter(|&&n| n > 0).count()
+    }
+
+    /// What to do for a tilt that has not been shown.
+    pub fn untilted(&self) -> Option<&'static str> {
+        let i = self.tilts.iter().position(|&n| n == 0)?;
+        Some(DIRECTIONS[i].1)
     }
 
     /// Parts of the image that the board has covered, of nine.
@@ -148,11 +170,7 @@ impl Guide {
 
     /// What to do next; `None` when it is enough.
     pub fn next(&self) -> Option<String> {
-        let tilt = self
-            .tilts
-            .iter()
-            .position(|&n| n == 0)
-            .map(|i| DIRECTIONS[i].1);
+        let tilt = self.untilted();
         let mut place = None;
         // Corners of the image first: that is where distortion shows.
         for (v, u) in [
@@ -184,12 +202,12 @@ impl Guide {
 
     /// Coverage and tilts in one line.
     pub fn summary(&self) -> String {
-        let tilts = self.tilts.iter().filter(|&&n| n > 0).count();
         format!(
-            "{} poses, {} of {} parts of the image covered, {tilts} of 4 tilts",
+            "{} poses, {} of {} parts of the image covered, {} of 4 tilts",
             self.poses,
             self.covered(),
-            CELLS * CELLS
+            CELLS * CELLS,
+            self.sides()
         )
     }
 }

@@ -85,6 +85,21 @@ pub enum Fault {
     },
 }
 
+impl Fault {
+    /// The same of a trigger that counts from `first` on.
+    pub fn shifted(mut self, first: u32) -> Self {
+        match &mut self {
+            Self::Lost { trigger }
+            | Self::Broken { trigger, .. }
+            | Self::Double { trigger, .. }
+            | Self::Late { trigger, .. }
+            | Self::Before { trigger, .. } => *trigger += first,
+            Self::Stray { .. } => {}
+        }
+        self
+    }
+}
+
 impl std::fmt::Display for Fault {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

@@ -14,9 +14,11 @@ pub mod folder;
 #[cfg(feature = "aravis")]
 pub mod genicam;
 pub mod guide;
+pub mod light_guide;
 pub mod link;
 pub mod matching;
 pub mod open;
+pub mod progress;
 pub mod recording;
 pub mod request;
 pub mod simulated;

@@ -4,6 +4,7 @@
 //! not there before, and the file after them. Nothing is overwritten.
 
 use super::camera::Picture;
+use super::progress::{Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
 use crate::session::{self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError};
@@ -35,6 +36,26 @@ pub enum RecordingError {
         path: PathBuf,
         /// Which part.
         part: &'static str,
+    },
+    /// A sweep that was broken off was begun with other settings.
+    #[error("{path}: this was begun with {key} = {there}, now it is {here}; set it back to go on, or --force to record it anew", path = path.display())]
+    Settings {
+        /// Where it stands.
+        path: PathBuf,
+        /// The key of the rig's configuration.
+        key: String,
+        /// What it was.
+        there: String,
+        /// What it is.
+        here: String,
+    },
+    /// What is before the camera is not what was when a scan was broken off.
+    #[error("{path}: the scene has changed since this scan was broken off ({percent:.1} % of the image differ): the hand or its light has moved; --force to record it anew", path = path.display())]
+    Changed {
+        /// The image of then.
+        path: PathBuf,
+        /// How much of the image differs.
+        percent: f64,
     },
     /// The background writer could not be started.
     #[error("the writer could not be started: {0}")]
@@ -153,13 +174,37 @@ impl Recording {
         write_whole(&path, picture).map_err(|reason| WriteError { path, reason }.into())
     }
 
-    /// A folder (relative) for the next light pose.
-    pub fn light_folder(&self) -> String {
-        fresh(
+    /// A folder (relative) for the next light pose, marked as under way. One that was broken off is
+    /// begun anew: nobody knows whether the checkerboard has moved since.
+    ///
+    /// # Errors
+    /// The disk.
+    pub fn begin_light(&self, settings: Settings) -> Result<(String, Progress), RecordingError> {
+        for i in 0.. {
+            let name = format!("light/{i:02}");
+            let folder = self.path(&name);
+            let named = |image: &String| Path::new(image).starts_with(&name);
+            if !folder.exists() {
+                break;
+            }
+            let recorded = self.manifest.light.iter().any(|pose| {
+                pose.off.as_ref().is_some_and(named) || pose.on.iter().any(|f| named(&f.image))
+            });
+            if let Some(left) = Progress::find(&folder, &self.folder)? {
+                if recorded {
+                    left.finish()?;
+                } else {
+                    left.discard()?;
+                }
+            }
+        }
+        let name = fresh(
             &self.folder,
             |i| format!("light/{i:02}"),
             self.manifest.light.len(),
-        )
+        );
+        let progress = Progress::begin(&self.path(&name), settings)?;
+        Ok((name, progress))
     }
 
     /// Adds a light pose whose images stand, frames in the order of travel.
@@ -186,14 +231,51 @@ impl Recording {
                 part: "scan",
             });
         }
-        let name = |i: usize| {
-            if i == 0 {
-                "scan".to_owned()
-            } else {
-                format!("scan_{i}")
+        Ok(fresh(&self.folder, scan_name, 0))
+    }
+
+    /// Begins a scan, or goes on with one that was broken off: its folder (relative) and what stands.
+    ///
+    /// # Errors
+    /// A scan stands there and `force` is not given, or one that was broken off was begun with other
+    /// settings.
+    pub fn begin_scan(
+        &self,
+        force: bool,
+        settings: Settings,
+    ) -> Result<(String, Progress), RecordingError> {
+        let name = self.scan_folder(force)?;
+        for i in 0.. {
+            let left = scan_name(i);
+            let folder = self.path(&left);
+            if !folder.exists() {
+                break;
             }
+            let Some(found) = Progress::find(&folder, &self.folder)? else {
+                continue;
+            };
+            let named = |s: &Scan| {
+                s.frames
+                    .iter()
+                    .any(|f| Path::new(&f.image).starts_with(&left))
+            };
+            if self.manifest.scan.as_ref().is_some_and(named) {
+                // Complete, but for taking the file away.
+                found.finish()?;
+            } else if force {
+                found.discard()?;
+            } else {
+                return Ok((left, found.go_on(settings)?));
+            }
+        }
+        // What was thrown away has left a name.
+        let name = if self.path(&name).exists() {
+            fresh(&self.folder, scan_name, 0)
+        } else {
+            name
         };
-        Ok(fresh(&self.folder, name, 0))
+        let progress = Progress::begin(&self.path(&name), settings)?;
+        Ok((name, progress))
     }
 
     /// Sets the scan, whose images stand. With `--force` one that stood before is no longer named;
@@ -208,6 +290,14 @@ impl Recording {
         self.manifest.scan = Some(Scan { ambient, frames });
         self.save()?;
         Ok(())
+    }
+}
+
+fn scan_name(i: usize) -> String {
+    if i == 0 {
+        "scan".to_owned()
+    } else {
+        format!("scan_{i}")
     }
 }
 
@@ -243,11 +333,16 @@ mod tests {
         // An image of a pose that was broken off: written, not named.
         r.write("camera/02.png", &picture(9)).unwrap();
         r.write("light/00/off.png", &picture(9)).unwrap();
+        // One whose sweep is known to have been broken off.
+        let broken = r.begin_light(Settings::new()).unwrap().0;
+        assert_eq!(broken, "light/01");
+        r.write("light/01/on_00.png", &picture(9)).unwrap();
         drop(r);
         let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
         assert_eq!(r.manifest.camera.len(), 2);
         assert_eq!(r.add_camera(&picture(3)).unwrap(), "camera/03.png");
-        assert_eq!(r.light_folder(), "light/01");
+        assert_eq!(r.begin_light(Settings::new()).unwrap().0, "light/01");
+        assert!(!r.path("light/01/on_00.png").exists() && r.path("light/00/off.png").exists());
         assert_eq!(r.scan_folder(false).unwrap(), "scan");
         let frame = |mm: f64, image: &str| Frame {
             slide_mm: mm,

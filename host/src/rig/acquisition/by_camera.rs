@@ -198,12 +198,31 @@ impl Acquisition<'_> {
         Ok(Some(None))
     }
 
-    /// A sweep position by position.
-    pub(super) fn sweep_by_camera(
+    /// Visits positions of a sweep (by their index) one by one and takes a picture at rest at each,
+    /// whatever the sweep's mode. One that gives none is named and left out.
+    pub fn visit(
         &mut self,
         request: &ScanRequest,
+        indices: &[u32],
         sink: &mut Sink,
     ) -> Result<Sweep, AcquireError> {
+        let mut sweep = Sweep {
+            planned: indices.len() as u32,
+            ..Sweep::default()
+        };
+        self.visit_into(request, indices, &mut sweep, false, sink)?;
+        Ok(sweep)
+    }
+
+    /// As [`Self::visit`], for a sweep under way; `again` if each has been visited before.
+    pub(super) fn visit_into(
+        &mut self,
+        request: &ScanRequest,
+        indices: &[u32],
+        sweep: &mut Sweep,
+        again: bool,
+        sink: &mut Sink,
+    ) -> Result<(), AcquireError> {
         let steps_per_mm = self.rig.board_config(1.0).steps_per_mm;
         let plan = TriggerPlan::new(
             steps_per_mm,
@@ -212,31 +231,40 @@ impl Acquisition<'_> {
             request.count,
         )
         .map_err(|e| LinkError::Unexpected(format!("no such plan: {e:?}")))?;
-        let mut sweep = Sweep {
-            planned: request.count,
-            ..Sweep::default()
-        };
         let positions: Vec<Steps> = plan.positions().collect();
-        for (position, index) in positions.into_iter().zip(0..) {
+        let laser = request.laser != ScanLaser::Off;
+        let by_board = self.rig.camera.trigger == TriggerSource::Board;
+        for &index in indices {
+            let Some(&position) = positions.get(index as usize) else {
+                continue;
+            };
             self.go_on()?;
-            self.board.move_to(position, request.speed_um_s)?;
+            self.board.move_to(position, 0)?;
             self.rest(self.rig.board.settle_ms)?;
-            let laser = request.laser != ScanLaser::Off;
-            match self.still_by_camera(index, laser, &mut sweep.faults) {
+            let told = if by_board {
+                self.still(index, laser).map(|shot| (shot, 1))
+            } else {
+                self.still_by_camera(index, laser, &mut sweep.faults)
+            };
+            match told {
                 Ok((shot, tries)) => {
-                    sweep.shots += 1;
-                    if tries > 1 {
+                    if again || tries > 1 {
                         sweep.reshot.push(index);
                     }
+                    sweep.shots += 1;
                     sink(shot)?;
                 }
                 Err(AcquireError::NoFrames { .. } | AcquireError::Untold(_)) => {
+                    let lost = Fault::Lost { trigger: index };
+                    if by_board && !again {
+                        sweep.faults.push(lost);
+                    }
                     sweep.missing.push(index);
                 }
                 Err(e) => return Err(e),
             }
         }
         sweep.faults.dedup();
-        Ok(sweep)
+        Ok(())
     }
 }
