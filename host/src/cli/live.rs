@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 /// A reconstruction of pictures of either depth.
 ///
-/// A picture that can't be worked on is left out and named by [`Finished::warn`], as one that was
+/// A picture that can't be worked on is left out and named by [`Finished::conclude`], as one that was
 /// lost: it must end neither the recording nor the result.
 pub struct Live {
     rig: RigModel,
