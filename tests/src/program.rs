@@ -1,7 +1,9 @@
 //! The program as a process of its own: this test binary started again, running the command line.
 
+use std::io::Read;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Where the arguments of the started program stand, a line each.
@@ -59,28 +61,45 @@ pub fn wait(child: Child, limit: Duration) -> (Option<i32>, String) {
     (ended.status, ended.said)
 }
 
-/// The same with standard output. (What the commands say fits into a pipe.)
+/// The same with standard output.
 pub fn wait_output(mut child: Child, limit: Duration) -> Ended {
     let began = Instant::now();
-    while child.try_wait().expect("a child").is_none() {
-        if began.elapsed() > limit {
-            let _ = child.kill();
-            panic!(
-                "it did not end within {limit:?}: {:?}",
-                child.wait_with_output()
-            );
+    // Read while it runs: what it says may be more than a pipe holds.
+    let out = reader(child.stdout.take());
+    let said = reader(child.stderr.take());
+    let mut cut = false;
+    let status = loop {
+        match child.try_wait().expect("a child") {
+            Some(status) => break status,
+            None if began.elapsed() > limit => {
+                cut = true;
+                let _ = child.kill();
+                break child.wait().expect("a child");
+            }
+            None => std::thread::sleep(Duration::from_millis(5)),
         }
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    let output = child.wait_with_output().expect("it has ended");
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let said = text(&output.stderr);
+    };
+    let text = |reader: JoinHandle<Vec<u8>>| {
+        String::from_utf8_lossy(&reader.join().expect("it reads")).into_owned()
+    };
+    let (out, said) = (text(out), text(said));
+    assert!(!cut, "it did not end within {limit:?}: {said}");
     assert!(!said.contains("panicked"), "{said}");
     Ended {
-        status: output.status.code(),
-        out: text(&output.stdout),
+        status: status.code(),
+        out,
         said,
     }
+}
+
+fn reader(pipe: Option<impl Read + Send + 'static>) -> JoinHandle<Vec<u8>> {
+    std::thread::spawn(move || {
+        let mut all = Vec::new();
+        if let Some(mut pipe) = pipe {
+            let _ = pipe.read_to_end(&mut all);
+        }
+        all
+    })
 }
 
 /// Every image below `folder` can be decoded, nothing half-written lies about, and a session.json

@@ -10,6 +10,7 @@ use cannula_shared::units::CYCLES_PER_MICRO;
 use cannula_tests::program::{self, signal, start, wait, whole};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// See [`program::become_it`].
@@ -26,8 +27,13 @@ const PROMPT_US: u64 = 150_000;
 /// default configuration), each on a loaded machine.
 const LEASE_US: u64 = 400_000;
 
+/// One at a time: board and program run in real time, and the board's patience of 200 ms is soon over on cores
+/// that others keep busy.
+static ONE: Mutex<()> = Mutex::new(());
+
 /// A board, a configuration for it, and a folder.
 struct Bench {
+    _one: MutexGuard<'static, ()>,
     real: RealTime,
     folder: tempfile::TempDir,
     config: PathBuf,
@@ -35,6 +41,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
+        let one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
         let real = RealTime::start(open::simulated_board(&Rig::default())).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("rig.toml");
@@ -46,6 +53,7 @@ impl Bench {
         );
         std::fs::write(&config, text).unwrap();
         Self {
+            _one: one,
             real,
             folder,
             config,
