@@ -138,11 +138,24 @@ pub fn doubts(file: &CalibrationFile, scan: Option<Timestamp>, now: Timestamp) -
             "check the slide for slip and calibrate again with more board poses",
         );
     }
-    all.extend(file.warnings.iter().map(|warning| Doubt {
-        what: format!("the calibration said: {warning}"),
+    let said = |what: String| Doubt {
+        what: format!("the calibration {what}"),
         remedy: "calibrate again if that matters here",
         said: true,
-    }));
+    };
+    // Many images that were left out are one doubt; the file names them all.
+    let (left, other): (Vec<&String>, Vec<&String>) = file
+        .warnings
+        .iter()
+        .partition(|w| w.contains(": left out: "));
+    match left.as_slice() {
+        [first, _, _, ..] => all.push(said(format!(
+            "left out {} images, the first: {first} (all of them stand under \"warnings\" in its file)",
+            left.len()
+        ))),
+        few => all.extend(few.iter().map(|w| said(format!("said: {w}")))),
+    }
+    all.extend(other.iter().map(|w| said(format!("said: {w}"))));
     all
 }
 
@@ -234,6 +247,16 @@ mod tests {
             said[0].contains("0.80 px") && said[1].contains("0.25 mm"),
             "{said:?}"
         );
+        file.warnings = vec!["planes ± 0.12 mm".into()];
+        file.warnings
+            .extend((0..4).map(|i| format!("on_{i}.png: left out: no stripe")));
+        let said: Vec<String> = doubts(&file, None, now)
+            .iter()
+            .map(Doubt::sentence)
+            .collect();
+        assert_eq!(said.len(), 4, "{said:?}");
+        assert!(said[2].contains("left out 4 images, the first: on_0.png"));
+        assert!(said[3].contains("± 0.12 mm"));
         assert_eq!(loose_here(0.05, 0.001), None);
         assert!(loose_here(0.05, 0.01).unwrap().what.contains("0.57°"));
         assert!(loose_here(0.4, 0.0).is_some());

@@ -6,10 +6,7 @@ use crate::report::model::{Model, Puncture, PunctureRun};
 /// Figures 25 and 27: the whole force of each run over time.
 pub fn forces(p: &Puncture) -> Plot {
     Plot {
-        title: format!(
-            "Force on the needle at each angle (as Figures 25 and 27): {}",
-            words(p)
-        ),
+        title: format!("Force at each angle (Figures 25, 27): {}", words(p)),
         x_label: "time / s".into(),
         y_label: "force / N".into(),
         series: p
@@ -48,7 +45,7 @@ pub fn force_by_layer(r: &PunctureRun) -> Plot {
     };
     Plot {
         title: format!(
-            "Force of each layer at {:.0}° (as Figure 26): {}",
+            "Force by layer at {:.0}° (Figure 26): {}",
             r.angle_deg,
             r.model.words()
         ),

@@ -105,7 +105,7 @@ fn table_1(c: &Calibration) -> Markup {
         })
         .collect();
     html! {
-        @if !rows.is_empty() { div {
+        @if !rows.is_empty() { div.block {
             (table("Table 1: Σ squared reprojection error of the stripe points", &["board pose", "before / px²", "after / px²", "paper: before / px²", "paper: after / px²"], &rows))
             p.soft { "Before and after the optimisation; the paper's rows are its own nine poses, in order. The paper's figure after says that its points lie on their rays, not how good the planes are." }
         } }
@@ -115,7 +115,7 @@ fn table_1(c: &Calibration) -> Markup {
 fn table_2(c: &Calibration) -> Markup {
     let rows: Vec<Vec<String>> = c.positions.iter().filter_map(spacing).collect();
     html! {
-        @if !rows.is_empty() { div {
+        @if !rows.is_empty() { div.block {
             (table("Table 2: distance between neighbouring planes", &["slide / mm", "travelled / mm", "distance / mm", "error / mm", "paper: distance / mm"], &rows))
             p.soft { "Mean |error| " (number(c.spacing_error_mm, 4)) " mm; in the paper 0.096 mm («about 0.1 mm»), each over 5 mm." }
         } }
@@ -152,7 +152,7 @@ fn table_3(c: &Calibration) -> Markup {
         .zip(TABLE_3)
         .map(|((name, own), paper)| vec![(*name).to_owned(), own, number(paper, 3)])
         .collect();
-    html! { div {
+    html! { div.block {
         (table("Table 3: common normal and D = a·x + b", &["", "this rig", "paper"], &rows))
         p.soft { "The paper's rig is another one: its planes are not to agree with these. Its own Table 4 gives a = −1.0055, b = −191.704." }
     } }

@@ -176,7 +176,7 @@ pub fn parameters(rows: &[(String, f64, Option<f64>, String)]) -> Markup {
             ]
         })
         .collect();
-    html! { @if !rows.is_empty() { div {
+    html! { @if !rows.is_empty() { div.block {
         (table("Parameters", &["", "value", "σ", "unit"], &rows))
         p.soft { "Each with two digits of its standard deviation (1 σ)." }
     } } }
