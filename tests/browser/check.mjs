@@ -108,6 +108,9 @@ for (const [name, width, scheme] of windows) {
     const touch = await page.context().newCDPSession(page);
     const send = (type, points) => touch.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([dx, dy], id) => ({ x: x + dx, y: y + dy, id })) });
     const gesture = async (what, from, to) => {
+      // From the first view each time: a gesture must not be judged by where the one before led.
+      await page.evaluate(() => document.querySelector('.scene button').click());
+      await page.waitForTimeout(300);
       const before = await canvas.screenshot();
       await send('touchStart', from);
       for (let k = 1; k <= 5; k++) await send('touchMove', from.map(([fx, fy], i) => [fx + (to[i][0] - fx) * k / 5, fy + (to[i][1] - fy) * k / 5]));

@@ -83,7 +83,12 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
                 (lo.min(p[k]), hi.max(p[k]))
             })
     };
+    // Where no angle is given, all of it: the surface that was measured may lie elsewhere.
+    let whole = !drawn.points.is_empty();
     let limits = |k: usize, size: usize| {
+        if whole {
+            return (0, size);
+        }
         let region = extent(&drawn.region, k);
         // Without a region, a good part of the image.
         let margin = 1.4 * (region.1 - region.0).max(size as f64 / 8.0);
