@@ -14,9 +14,12 @@ mod refine;
 mod response;
 mod search;
 mod site;
+mod stack;
 pub mod subpixel;
 #[cfg(test)]
 mod tests;
+
+pub use stack::Stack;
 
 use crate::geometry::{Matrix2, Point3, Vector2};
 use crate::image::{Image, Pixel};

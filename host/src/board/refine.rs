@@ -6,7 +6,7 @@
 //! they may be wrong together without moving it.
 
 use super::edge_model::{FREE, Parameters, Patch, index};
-use super::layout::Layout;
+use super::layout::{Layout, Place};
 use super::noise::{Noise, mask_foreign};
 use super::site::{BAND, Prior, Site, position_covariance};
 use super::{BoardGeometry, Corner, Detection, NotFound, Quality};
@@ -21,6 +21,8 @@ const LEANING: f64 = 0.2;
 const MOST_MASKED: f64 = 0.8;
 /// Edges at least this long, px, have pixels to spare for a first fit.
 const MANY: f64 = 8.0;
+/// Standard deviation of a pixel's own area, px: √(1/12).
+const PIXEL: f64 = 0.288_675_134_594_812_9;
 /// Standard deviation that no covariance goes below, px: what the model leaves on clean images.
 const FLOOR: f64 = 1e-3;
 
@@ -51,7 +53,38 @@ pub(super) fn refine<P: Pixel>(
     geometry: &BoardGeometry,
     coarseness: usize,
 ) -> Result<Detection, NotFound> {
-    let mut board = Board::new(image, layout, geometry, coarseness);
+    let mut board = Board::new(image, layout, geometry, coarseness as f64);
+    board.approach();
+    board.check()?;
+    board.finish()
+}
+
+/// Refines corners known to a pixel, in the order of [`BoardGeometry::point`], at a known blur, px.
+pub(super) fn again<P: Pixel>(
+    image: &Image<P>,
+    corners: &[Vector2],
+    blur_px: f64,
+    geometry: &BoardGeometry,
+) -> Result<Detection, NotFound> {
+    let places = corners.iter().map(|&position| Place {
+        position,
+        seen: true,
+    });
+    let mut layout = Layout {
+        places: places.collect(),
+        dark_first: false,
+    };
+    // An edge of a search level c times as coarse as the image starts at a blur of 0.4 + c/2.
+    let coarseness = (2.0 * (blur_px.hypot(PIXEL) - 0.4)).max(1.0);
+    let board = Board::new(image, &layout, geometry, coarseness);
+    let brightness: f64 = (0..board.sites.len())
+        .map(|i| {
+            let [same, other] = board.diagonals(i);
+            (same - other) * board.expected_sign(i)
+        })
+        .sum();
+    layout.dark_first = brightness < 0.0;
+    let mut board = Board::new(image, &layout, geometry, coarseness);
     board.approach();
     board.check()?;
     board.finish()
@@ -73,7 +106,7 @@ impl<'a, P: Pixel> Board<'a, P> {
         image: &'a Image<P>,
         layout: &Layout,
         geometry: &BoardGeometry,
-        coarseness: usize,
+        coarseness: f64,
     ) -> Self {
         let (columns, rows) = (geometry.columns, geometry.rows);
         let site = Site {
@@ -100,7 +133,7 @@ impl<'a, P: Pixel> Board<'a, P> {
             rows,
             sites: vec![site; columns * rows],
             sign: if layout.dark_first { -1.0 } else { 1.0 },
-            coarseness: coarseness as f64,
+            coarseness,
             seen: layout.places.iter().map(|p| p.seen).collect(),
         };
         let positions: Vec<Vector2> = layout.places.iter().map(|p| p.position).collect();
@@ -173,6 +206,17 @@ impl<'a, P: Pixel> Board<'a, P> {
         f64::from(value)
     }
 
+    /// Mean grey of the two squares at site i's origin that +x and +y border, and of the other two.
+    fn diagonals(&self, i: usize) -> [f64; 2] {
+        let site = &self.sites[i];
+        let ([ex, ey], p) = (site.steps, site.origin);
+        let quadrant = |a: f64, b: f64| self.grey(p + ex * a + ey * b);
+        [
+            0.5 * (quadrant(0.25, 0.25) + quadrant(-0.25, -0.25)),
+            0.5 * (quadrant(0.25, -0.25) + quadrant(-0.25, 0.25)),
+        ]
+    }
+
     /// Sign of h: +1 where the square between +x and +y is bright.
     fn expected_sign(&self, i: usize) -> f64 {
         if (i % self.columns + i / self.columns).is_multiple_of(2) {
@@ -193,9 +237,7 @@ impl<'a, P: Pixel> Board<'a, P> {
             let sign = self.expected_sign(i);
             let p = self.sites[i].origin;
             let [ex, ey] = self.sites[i].steps;
-            let quadrant = |a: f64, b: f64| self.grey(p + ex * a + ey * b);
-            let same = 0.5 * (quadrant(0.25, 0.25) + quadrant(-0.25, -0.25));
-            let other = 0.5 * (quadrant(0.25, -0.25) + quadrant(-0.25, 0.25));
+            let [same, other] = self.diagonals(i);
             let half = 0.5 * (same - other);
             let image = self.image;
             let site = &mut self.sites[i];
@@ -535,7 +577,7 @@ impl<'a, P: Pixel> Board<'a, P> {
     }
 }
 
-/// The point spread's part of an edge's blur: the pixel's own area has a variance of 1/12.
+/// The point spread's part of an edge's blur.
 fn point_spread(sigma: f64) -> f64 {
-    (sigma * sigma - 1.0 / 12.0).max(0.0).sqrt()
+    (sigma * sigma - PIXEL * PIXEL).max(0.0).sqrt()
 }

@@ -3,7 +3,7 @@
 use super::error::PipelineError;
 use super::times::{Stage, Times};
 use super::{Method, calibration::Settings};
-use crate::board::{self, BoardGeometry, Corner, Detection};
+use crate::board::{self, BoardGeometry, Corner, Detection, Stack};
 use crate::calibration::light::{BoardStripe, LightView};
 use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
@@ -11,6 +11,7 @@ use crate::progress::Progress;
 use crate::session::{LightPose, Session};
 use crate::stripe::{self, StripeError, StripePoint};
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// A board image that gave corners, or why not.
 pub(super) struct Seen {
@@ -77,32 +78,51 @@ impl Looker<'_> {
         let (luma, laser) = self
             .times
             .time(Stage::Read, || self.session.both::<P>(off))?;
-        let seen = Seen {
+        let mut seen = Seen {
             name: off.to_owned(),
             board: self.detect(&luma),
         };
         self.progress.step();
         let background = laser.as_ref().unwrap_or(&luma);
-        let stripes = match &seen.board {
+        let (stripes, stack) = match &seen.board {
             Err(_) => {
                 pose.on.iter().for_each(|_| self.progress.step());
-                Vec::new()
+                (Vec::new(), None)
             }
             Ok(found) => {
                 let corners = pixels(&found.corners);
-                pose.on
+                // A colour's own image has the stripe; only where it is the grey one too does it
+                // show the corners as all other views do.
+                let stack = (laser.is_none() && self.method == Method::Ml)
+                    .then(|| Mutex::new(Stack::new(background, found)));
+                let stripes = pose
+                    .on
                     .par_iter()
                     .map(|frame| {
                         let on = self
                             .times
                             .time(Stage::Read, || self.session.laser::<P>(&frame.image))?;
-                        let points = self.stripe(&on, Some(background), &corners, &frame.image);
+                        let points = self.stripe(&on, Some(background), &corners, &frame.image)?;
+                        if let (Some(stack), Ok(points)) = (&stack, &points) {
+                            self.times.time(Stage::Corners, || pile(stack, &on, points));
+                        }
                         self.progress.step();
-                        Ok((frame.image.clone(), frame.slide_mm, points?))
+                        Ok((frame.image.clone(), frame.slide_mm, points))
                     })
-                    .collect::<Result<_, PipelineError>>()?
+                    .collect::<Result<_, PipelineError>>()?;
+                (stripes, stack)
             }
         };
+        let stack = stack.and_then(|stack| stack.into_inner().ok());
+        if let (Some(stack), Ok(found)) = (stack, &mut seen.board) {
+            let again = self
+                .times
+                .time(Stage::Corners, || stack.measure(found, &self.board));
+            // The first measurement stands where the mean does not show the board.
+            if let Ok(again) = again {
+                *found = again;
+            }
+        }
         Ok(Swept { seen, stripes })
     }
 
@@ -181,6 +201,19 @@ impl Looker<'_> {
                 Ok(found.map_err(|e| e.to_string()))
             }
         })
+    }
+}
+
+/// Widths of the stripe, and pixels, around its centre line that it may light.
+const GLOW: f64 = 10.0;
+const GLOW_PX: f64 = 4.0;
+
+/// Adds an image to a pose's stack, all but its stripe.
+fn pile<P: Pixel>(stack: &Mutex<Stack>, on: &Image<P>, points: &[StripePoint]) {
+    let line: Vec<Vector2> = points.iter().map(|p| p.pixel).collect();
+    let widest = points.iter().fold(0.0, |w: f32, p| w.max(p.width_px));
+    if let Ok(mut stack) = stack.lock() {
+        stack.add(on, &line, GLOW * f64::from(widest) + GLOW_PX);
     }
 }
 
