@@ -154,9 +154,14 @@ impl Stack {
                 count += step;
                 *factor = self.scale / count.max(1) as f32;
             }
-            for ((out, sum), factor) in out.iter_mut().zip(sums).zip(&factors) {
-                *out = (*sum as f32 * factor + 0.5) as u16;
-            }
+            widest(
+                #[inline(always)]
+                || {
+                    for ((out, sum), factor) in out.iter_mut().zip(sums).zip(&factors) {
+                        *out = (*sum as f32 * factor + 0.5) as i32 as u16;
+                    }
+                },
+            );
         }
         Image::from_vec(self.width, self.height, pixels)
             .unwrap_or_else(|| Image::new(self.width, self.height, 0))

@@ -638,3 +638,59 @@ fn all_real_photographs_are_found() {
     }
     assert_eq!(found, 13);
 }
+
+/// Fourteen exposures of one pose, a stripe over thirteen of them, have a quarter of the noise of
+/// one; a board that moved in between is not measured again.
+#[test]
+fn a_stack_measures_corners_better_than_one_image() {
+    let look = Look { fine: 2, ..HARD };
+    let map = pose(&look, &BOARD, 330.0, 0.3, 0.8, 0.2);
+    let grey = shine(&look, &map, &BOARD);
+    let exact = truth(&map, &BOARD);
+    let mut random = Random(5);
+    let first = expose(&look, &grey, &mut random);
+    let found = detect(&first, &BOARD).unwrap();
+    let middle = found.corners[20].pixel;
+    let mut stack = Stack::new(&first, &found);
+    let striped = |image: &mut Image<u8>, k: usize| -> Vec<Vector2> {
+        let (w, h) = (image.width(), image.height());
+        let line = |u: usize| middle.y - 160.0 + 25.0 * k as f64 + 0.1 * u as f64 - 0.1 * middle.x;
+        for (i, p) in image.pixels_mut().iter_mut().enumerate() {
+            let d = (i / w) as f64 - line(i % w);
+            *p = p.saturating_add((150.0 * (-0.5 * d * d / 4.0).exp()) as u8);
+        }
+        let points = (0..w).step_by(4).map(|u| Vector2::new(u as f64, line(u)));
+        points.filter(|p| p.y > 0.0 && p.y < h as f64).collect()
+    };
+    for k in 0..13 {
+        let mut image = expose(&look, &grey, &mut random);
+        let points = striped(&mut image, k);
+        stack.add(&image, &points, 20.0);
+    }
+    let again = stack.measure(&found, &BOARD).unwrap();
+    let rms = |d: &Detection| {
+        let (squares, normalised) = errors(d, &exact);
+        let n = squares.len() as f64;
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+        (mean(&squares).sqrt(), mean(&normalised))
+    };
+    let ((one, _), (many, chi)) = (rms(&found), rms(&again));
+    println!("{one:.4} px, stacked {many:.4} px, normalised {chi:.2}");
+    assert!(many < 0.4 * one, "{many:.4} px of {one:.4} px");
+    assert!(
+        again
+            .corners
+            .iter()
+            .zip(&found.corners)
+            .all(|(a, b)| { a.covariance.trace() < 0.3 * b.covariance.trace() })
+    );
+
+    let moved = pose(&look, &BOARD, 330.0, 0.3, 0.8, 0.23);
+    let mut image = expose(&look, &shine(&look, &moved, &BOARD), &mut random);
+    let mut stack = Stack::new(&first, &found);
+    for k in 0..13 {
+        let points = striped(&mut image, k);
+        stack.add(&image, &points, 20.0);
+    }
+    assert!(stack.measure(&found, &BOARD).is_err());
+}
