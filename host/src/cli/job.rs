@@ -92,10 +92,16 @@ impl NeedleArgs {
     }
 }
 
-/// Where the puncture decision chose the angle, its sentence goes wherever the angle goes: the
-/// paper's criterion may leave the clinical 15–30° or go through the far wall.
-fn decision_words(source: AngleSource) -> Option<String> {
-    (source == AngleSource::Puncture).then(|| crate::puncture::default_decision().sentence)
+/// What the puncture model says of the angle goes wherever the angle goes, whoever chose it: it may
+/// leave the clinical 15–30° or go through the far wall.
+fn angle_words(source: AngleSource, angle_deg: f64) -> Option<String> {
+    match source {
+        AngleSource::Puncture => Some(crate::puncture::default_decision().sentence),
+        AngleSource::CommandLine | AngleSource::Default => {
+            let setup = crate::puncture::Setup::default();
+            crate::puncture::decision::against(&setup, angle_deg)
+        }
+    }
 }
 
 /// The parts that measuring needs, named before any image is opened.
@@ -174,7 +180,7 @@ impl Job<'_> {
 
     /// Adds to a measurement's warnings what speaks against the calibration that it was made with
     /// (its age, how loose it is, what it said itself), what the region's curvature means, and what
-    /// the puncture decision says of its own angle. What this run has already said (a calibration
+    /// the puncture model says of the angle. What this run has already said (a calibration
     /// made since it began) is not said again on the terminal.
     pub fn weigh(&self, m: &mut Measurement) {
         let now = jiff::Timestamp::now();
@@ -198,7 +204,11 @@ impl Job<'_> {
         }
         let (settings, source) = self.args.settings();
         let curved = m.decision.cautions(m.request.radius_mm, &settings.limits);
-        for words in curved.into_iter().chain(decision_words(source)) {
+        let angle = self
+            .args
+            .needle_angle
+            .unwrap_or(settings.angle.to_degrees());
+        for words in curved.into_iter().chain(angle_words(source, angle)) {
             self.out.warn(&words);
             m.warnings.push(words);
         }

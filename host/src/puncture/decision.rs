@@ -16,6 +16,8 @@ pub const CLINICAL_DEG: [f64; 2] = [15.0, 30.0];
 pub const ADVANCE_MM: f64 = 5.0;
 /// Flag of an angle outside [`CLINICAL_DEG`].
 const OUTSIDE: &str = "outside the clinical 15–30°";
+/// The angles that the fast model was fitted to, degrees: beyond them its forces are extrapolated.
+pub const FITTED_DEG: [f64; 2] = [15.0, 75.0];
 /// The paper's angles, degrees.
 pub const PAPER_ANGLES_DEG: [f64; 3] = [30.0, 45.0, 60.0];
 
@@ -130,6 +132,57 @@ pub fn clearance_mm(setup: &Setup, angle: f64) -> f64 {
     setup.layers.lumen_mm - bevel * angle.sin() - d * angle.cos()
 }
 
+/// Straight way along the axis in the lumen, mm.
+fn straight_mm(setup: &Setup, angle: f64) -> f64 {
+    setup.layers.lumen_mm / angle.sin()
+}
+
+/// What speaks against an angle (degrees), whoever chose it.
+fn flags(setup: &Setup, angle_deg: f64) -> Vec<String> {
+    let angle = angle_deg.to_radians();
+    let (clearance, straight) = (clearance_mm(setup, angle), straight_mm(setup, angle));
+    let mut flags = Vec::new();
+    if !(CLINICAL_DEG[0]..=CLINICAL_DEG[1]).contains(&angle_deg) {
+        flags.push(OUTSIDE.to_owned());
+    }
+    if !(FITTED_DEG[0]..=FITTED_DEG[1]).contains(&angle_deg) {
+        let [from, to] = FITTED_DEG;
+        flags.push(format!(
+            "outside the {from}–{to}° that the puncture model was fitted to"
+        ));
+    }
+    if clearance < 0.0 {
+        flags.push(format!(
+            "the tip is {:.1} mm through the far wall before the whole bevel is in the vein",
+            -clearance
+        ));
+    }
+    if straight < ADVANCE_MM - 1e-9 {
+        flags.push(format!(
+            "only {straight:.1} mm straight on in the lumen: the needle must be lowered before it \
+             advances {ADVANCE_MM} mm"
+        ));
+    }
+    flags
+}
+
+/// "60° is outside …, and …".
+fn faults(angle_deg: f64, flags: &[&str]) -> String {
+    let is = match flags.first() {
+        Some(first) if first.starts_with("outside") => "is",
+        _ => "has a fault:",
+    };
+    format!("{angle_deg}° {is} {}", flags.join(", and "))
+}
+
+/// What speaks against an angle (degrees) that was given, not decided: the checks and words of a
+/// decision's row. None where nothing does.
+pub fn against(setup: &Setup, angle_deg: f64) -> Option<String> {
+    let flags = flags(setup, angle_deg);
+    let words: Vec<&str> = flags.iter().map(String::as_str).collect();
+    (!words.is_empty()).then(|| format!("the given {}.", faults(angle_deg, &words)))
+}
+
 fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Reference>) -> Row {
     let angle = angle_deg.to_radians();
     let here = fast.angle(setup, angle_deg);
@@ -151,23 +204,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
         ),
     };
     let clearance = clearance_mm(setup, angle);
-    let straight = setup.layers.lumen_mm / angle.sin();
-    let mut flags = Vec::new();
-    if !(CLINICAL_DEG[0]..=CLINICAL_DEG[1]).contains(&angle_deg) {
-        flags.push(OUTSIDE.to_owned());
-    }
-    if clearance < 0.0 {
-        flags.push(format!(
-            "the tip is {:.1} mm through the far wall before the whole bevel is in the vein",
-            -clearance
-        ));
-    }
-    if straight < ADVANCE_MM - 1e-9 {
-        flags.push(format!(
-            "only {straight:.1} mm straight on in the lumen: the needle must be lowered before it \
-             advances {ADVANCE_MM} mm"
-        ));
-    }
+    let straight = straight_mm(setup, angle);
     Row {
         angle_deg,
         peak_force_n: peak,
@@ -185,7 +222,7 @@ fn row(setup: &Setup, fast: &Calibration, angle_deg: f64, reference: Option<&Ref
             toughness_double: tough(2.0),
         },
         fits: clearance >= 0.0 && straight > ADVANCE_MM - 1e-9,
-        flags,
+        flags: flags(setup, angle_deg),
     }
 }
 
@@ -331,7 +368,7 @@ fn sentence(
             ),
         };
     }
-    // The last flag only says what to do next; the first two break something.
+    // The last flag only says what to do next; the others break something.
     let against: Vec<&str> = chosen
         .flags
         .iter()
@@ -339,16 +376,7 @@ fn sentence(
         .map(String::as_str)
         .collect();
     if !against.is_empty() {
-        let is = if against[0] == OUTSIDE {
-            "is"
-        } else {
-            "has a fault:"
-        };
-        text += &format!(
-            ", but {}° {is} {}",
-            chosen.angle_deg,
-            against.join(", and ")
-        );
+        text += &format!(", but {}", faults(chosen.angle_deg, &against));
         if criterion == Criterion::Paper
             && let Some(r) = constrained
             && r.angle_deg != chosen.angle_deg
@@ -484,6 +512,34 @@ mod tests {
         let end = "but 30° has a fault: the tip is 0.3 mm through the far wall before the whole \
                    bevel is in the vein.";
         assert!(d.sentence.ends_with(end), "{}", d.sentence);
+    }
+
+    /// The sentence of a given angle holds what a decision for the same angle alone holds.
+    #[test]
+    fn a_given_angle_is_told_what_a_chosen_one_is() {
+        let s = Setup::default();
+        let (clinical, fitted, wall) = (OUTSIDE, "outside the 15–75°", "through the far wall");
+        let of = |a: f64| against(&s, a).unwrap_or_default();
+        for (angle, named, not) in [
+            (85.0, &[clinical, fitted, wall, "only 2.5 mm"][..], &[][..]),
+            (60.0, &[clinical, wall, "only 2.9 mm"], &[fitted]),
+            (3.0, &[clinical, fitted], &[wall, "only"]),
+        ] {
+            let words = of(angle);
+            assert!(words.starts_with(&format!("the given {angle}° is outside")));
+            assert!(named.iter().all(|w| words.contains(w)), "{words}");
+            assert!(!not.iter().any(|w| words.contains(w)), "{words}");
+        }
+        let fast = Calibration::stored();
+        let chosen = decide(&s, fast, &[60.0], &[], Criterion::Paper).expect("an angle");
+        let faults = chosen.sentence.split(", but ").nth(1).expect("faults");
+        assert!(of(60.0).contains(faults.trim_end_matches('.')));
+        assert_eq!(against(&s, 25.0), None);
+        // The range is that of the runs that the model was fitted to.
+        let cases = super::super::fit::CASES.map(|c| c.0);
+        let least = cases.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = cases.iter().copied().fold(0.0, f64::max);
+        assert_eq!(FITTED_DEG, [least, most]);
     }
 
     #[test]
