@@ -16,6 +16,9 @@ pub const LOOSE_ENTRY_MM: f64 = 0.2;
 /// See [`LOOSE_ENTRY_MM`].
 pub const LOOSE_AXIS_DEG: f64 = 0.2;
 
+/// The remedy for a file that does not say how it came about.
+const REMAKE: &str = "calibrate again with `cannula calibrate`";
+
 /// What speaks against a calibration, and what to do.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Doubt {
@@ -118,6 +121,25 @@ pub fn doubts(file: &CalibrationFile, scan: Option<Timestamp>, now: Timestamp) -
                 "set this machine's clock",
             );
         }
+    } else {
+        doubt(
+            "the calibration carries no date, so its age is unknown".to_owned(),
+            REMAKE,
+        );
+    }
+    if file.covariance.is_none() {
+        doubt(
+            "the calibration carries no uncertainty (covariance), so its part of every σ is unknown and left out"
+                .to_owned(),
+            REMAKE,
+        );
+    }
+    if file.camera.views.is_empty() {
+        doubt(
+            "the calibration carries no views of the board, so coverage and tilts are unknown"
+                .to_owned(),
+            REMAKE,
+        );
     }
     if file.camera.rms_px > LOOSE_CORNERS_PX {
         doubt(
@@ -186,6 +208,7 @@ fn loose_here(entry_mm: f64, axis: f64) -> Option<Doubt> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::PARAMETERS;
     use crate::output::tests::{contract, read};
 
     fn dated(days: i64) -> (CalibrationFile, Timestamp) {
@@ -195,6 +218,10 @@ mod tests {
         value["provenance"] = serde_json::json!({
             "program": "cannula", "session": "s", "time": seconds(then),
         });
+        let row = vec![1e-6; PARAMETERS];
+        value["covariance"] = serde_json::json!(vec![row; PARAMETERS]);
+        value["camera"]["views"] =
+            serde_json::json!([{ "image": "a.png", "rms_px": 0.01, "used": true }]);
         (read(&value).unwrap(), now)
     }
 
@@ -228,9 +255,17 @@ mod tests {
         );
         let (file, now) = dated(-2);
         assert!(doubts(&file, None, now)[0].what.contains("in the future"));
-        // The contract's own file has no date: nothing is invented.
+        // The contract's own file has no date, σ or views: nothing is invented, and that is said.
         let bare = read(&contract()).unwrap();
-        assert_eq!((age(&bare), doubts(&bare, None, now)), (None, Vec::new()));
+        assert_eq!(age(&bare), None);
+        let said = doubts(&bare, None, now);
+        assert_eq!(said.len(), 3, "{said:?}");
+        for (doubt, word) in said.iter().zip(["no date", "no uncertainty", "no views"]) {
+            assert!(
+                doubt.what.contains(word) && doubt.what.contains("unknown"),
+                "{doubt:?}"
+            );
+        }
     }
 
     #[test]

@@ -161,6 +161,7 @@ fn sample(s: &StripeSample) -> Markup {
 
 /// Used by the calibration's parameters too: name, value, σ, unit.
 pub fn parameters(rows: &[(String, f64, Option<f64>, String)]) -> Markup {
+    let sigmas = rows.iter().any(|(_, _, sigma, _)| sigma.is_some());
     let rows: Vec<Vec<String>> = rows
         .iter()
         .map(|(name, value, sigma, unit)| {
@@ -178,6 +179,6 @@ pub fn parameters(rows: &[(String, f64, Option<f64>, String)]) -> Markup {
         .collect();
     html! { @if !rows.is_empty() { div.block {
         (table("Parameters", &["", "value", "σ", "unit"], &rows))
-        p.soft { "Each with two digits of its standard deviation (1 σ)." }
+        @if sigmas { p.soft { "Each with two digits of its standard deviation (1 σ)." } }
     } } }
 }
