@@ -50,6 +50,8 @@ pub const FINE_MM: f64 = 1.25;
 /// so that the vein's line keeps its direction with less noise. (Wider, the bend of the hand turns the line:
 /// by up to 0.05° at 2.5 mm on noise-free hands, 0.14° at 4 mm.)
 pub const BROAD_MM: f64 = 2.0;
+/// A gap of so many usual spacings of the stripes is bridged, however wide they stand.
+pub const GAP_SPACINGS: f64 = 2.6;
 
 /// How heights run between two stripes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,7 +149,7 @@ struct Local {
 
 impl Surface {
     /// From the cloud, for everything within `reach` mm of the frame's origin; `radius` is the
-    /// region's, `gap` the widest distance between stripes to bridge (at least 2.6 of the usual),
+    /// region's, `gap` the widest distance between stripes to bridge (at least [`GAP_SPACINGS`] of the usual),
     /// `smooth` half the width of the parabola along a stripe ([`FINE_MM`], [`BROAD_MM`]).
     pub fn build(
         cloud: &[CloudPoint],
@@ -185,7 +187,7 @@ impl Surface {
         for stripe in points.chunk_by(|a, b| a.frame == b.frame) {
             stripe_nodes(stripe, step, half, smooth, &mut columns);
         }
-        let gap = gap.max(2.6 * usual_spacing(&mut columns));
+        let gap = gap.max(GAP_SPACINGS * usual_spacing(&mut columns));
         let mut surface = Self {
             frame: *frame,
             step,

@@ -233,6 +233,8 @@ pub struct Calibration {
     pub figure_14: Vec<(f64, f64, f64)>,
     /// What is weak and what to do about it.
     pub findings: Vec<String>,
+    /// What was looked at for that; what its file does not carry was not.
+    pub checked: Vec<String>,
     /// "ml" or "paper".
     pub method: String,
     /// When: "of …, … ago, … before the scan".

@@ -1,6 +1,6 @@
 //! `report.html` of a processed recording.
 
-use super::model::{Puncture, Report, TruthRow, Verdict};
+use super::model::{Calibration, Puncture, Report, TruthRow, Verdict};
 use super::sources;
 use crate::output::{CalibrationFile, Doubt, OutputError, all_doubts, moment, write_whole};
 use crate::pipeline::{Measurement, Scanned, Times};
@@ -104,6 +104,14 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
             warnings: weak.clone(),
         }),
     };
+    let checked = sources::checked(s.calibration, measured.is_some());
+    // A refusal is the calibration's own where nothing was scanned with it.
+    let refusal = match &s.outcome {
+        Outcome::Calibrated(refused) => refused.as_slice(),
+        Outcome::Refused(reasons, None) => reasons.get(..1).unwrap_or_default(),
+        _ => &[],
+    };
+    let findings = refusal.iter().cloned().chain(weak).collect();
     let alone = matches!(s.outcome, Outcome::Calibrated(_));
     let headline = match &s.outcome {
         Outcome::Refused(..) => "No angle",
@@ -123,7 +131,10 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
             let scanned = s.outcome.scanned()?;
             sources::scene_refused(scanned, &camera)
         }),
-        calibration: Some(sources::calibration(s.calibration, weak, scan)),
+        calibration: Some(Calibration {
+            checked,
+            ..sources::calibration(s.calibration, findings, scan)
+        }),
         stripes: match alone {
             true => Vec::new(),
             false => sources::stripes(s.session, measured)?,

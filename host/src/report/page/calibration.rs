@@ -83,8 +83,9 @@ fn views(c: &Calibration) -> Markup {
 fn findings(c: &Calibration) -> Markup {
     html! {
         h3 { "What is weak, and what to do" }
-        @if c.findings.is_empty() { p { "Nothing that was checked is weak: age, coverage, tilts, residuals of each view and stripe, σ of focal length and planes, travel, hold-out, and what it leaves open of a needle found with it. The limits stand under Provenance." } }
-        @else { ul { @for f in &c.findings { li { (f) } } } }
+        @if !c.findings.is_empty() { ul { @for f in &c.findings { li { (f) } } } }
+        @else if c.checked.is_empty() { p { "Nothing was checked." } }
+        @else { p { "Nothing that was checked is weak: " (c.checked.join(", ")) ". The limits stand under Provenance." } }
     }
 }
 

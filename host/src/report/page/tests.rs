@@ -114,6 +114,19 @@ fn every_section_is_there_and_text_is_escaped() {
 }
 
 #[test]
+fn only_what_was_checked_is_said_to_be_sound() {
+    let mut report = full();
+    let calibration = report.calibration.as_mut().unwrap();
+    assert!(calibration.findings.is_empty());
+    calibration.checked = vec!["age".into(), "σ of the planes".into()];
+    let page = render(&report);
+    assert!(page.contains("Nothing that was checked is weak: age, σ of the planes."));
+    assert!(!page.contains("coverage, tilts"));
+    report.calibration.as_mut().unwrap().checked.clear();
+    assert!(render(&report).contains("Nothing was checked."));
+}
+
+#[test]
 fn nothing_is_fetched() {
     let page = render(&full());
     // No element of the page names an address (the bundled library names one XML namespace).

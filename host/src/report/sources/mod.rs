@@ -6,14 +6,14 @@ mod measurement;
 mod picture;
 mod puncture;
 
-pub use calibration::calibration;
+pub use calibration::{calibration, checked};
 pub use decision::{decided, punctured, with_reference};
 pub use measurement::{needle, scene, scene_refused, verdict};
 pub use picture::{picture, stripe_middle, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
 use super::model::Provenance;
-use crate::needle::surface::{BROAD_MM, FINE_MM};
+use crate::needle::surface::{BROAD_MM, FINE_MM, GAP_SPACINGS};
 use crate::output::{LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS};
 use crate::pipeline::{Method, Times};
 
@@ -51,7 +51,13 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
         ),
         ("region: fewest points", l.points.to_string()),
         ("region: fewest stripes", l.stripes.to_string()),
-        ("region: widest gap bridged", format!("{} mm", l.gap_mm)),
+        (
+            "region: widest gap bridged",
+            format!(
+                "{} mm, or {GAP_SPACINGS} of the usual spacing of stripes where that is more",
+                l.gap_mm
+            ),
+        ),
         (
             "region: least coverage",
             format!("{:.0} %", 100.0 * l.coverage),
