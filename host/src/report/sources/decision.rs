@@ -165,7 +165,8 @@ fn sensitivity(d: &Decision) -> Table {
             let s = &r.sensitivity;
             let force = |f: f64| format!("{f:.2}");
             vec![
-                format!("{:.0}°", r.angle_deg),
+                // A row's name, as "lowest at" is: words, so that both stand left.
+                format!("at {:.0}°", r.angle_deg),
                 force(s.friction_0_3),
                 force(s.friction_0_7),
                 force(s.toughness_half),
