@@ -270,6 +270,20 @@ impl Job<'_> {
                     "the result of an earlier run in this folder was put aside as result-before.json: do not use it for this hand".to_owned(),
                 );
             }
+            for (file, written) in [
+                ("cloud.ply", scanned.is_some()),
+                ("cloud.xyz", scanned.is_some() && self.args.xyz),
+                ("cloud.csv", scanned.is_some() && self.args.csv),
+            ] {
+                let cloud = self.folder.join(file);
+                if !written && cloud.exists() {
+                    let aside = file.replace("cloud", "cloud-before");
+                    std::fs::rename(&cloud, self.folder.join(&aside))?;
+                    reasons.push(format!(
+                        "{file} of an earlier run in this folder was put aside as {aside}: it is not this hand's"
+                    ));
+                }
+            }
             if let Some(s) = scanned {
                 write_cloud(self.folder, &s.cloud, self.args)?;
             }
