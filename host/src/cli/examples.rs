@@ -95,6 +95,80 @@ const EXAMPLES: [(&str, &[&str]); 17] = [
     ("man", &["cannula man --out ~/.local/share/man/man1"]),
 ];
 
+/// The same for the commands that have commands of their own; each example is taken there alone.
+const NESTED: [(&str, &str, &str); 18] = [
+    (
+        "plot",
+        "calibration",
+        "cannula plot calibration session -o calibration.svg",
+    ),
+    ("plot", "cloud", "cannula plot cloud result -o cloud.png"),
+    (
+        "plot",
+        "stripes",
+        "cannula plot stripes session --frame 12 -o stripes.svg",
+    ),
+    (
+        "plot",
+        "puncture",
+        "cannula plot puncture puncture -o force.png",
+    ),
+    (
+        "capture",
+        "camera",
+        "cannula capture camera --config rig.toml --out session",
+    ),
+    (
+        "capture",
+        "light",
+        "cannula capture light --config rig.toml --out session",
+    ),
+    (
+        "capture",
+        "scan",
+        "cannula capture scan --config rig.toml --out session",
+    ),
+    (
+        "motion",
+        "status",
+        "cannula motion --config rig.toml status",
+    ),
+    ("motion", "home", "cannula motion --config rig.toml home"),
+    (
+        "motion",
+        "move",
+        "cannula motion --config rig.toml move 25.5 --speed 10",
+    ),
+    ("motion", "jog", "cannula motion --config rig.toml jog -0.5"),
+    (
+        "motion",
+        "laser",
+        "cannula motion --config rig.toml laser --laser --seconds 5",
+    ),
+    (
+        "motion",
+        "trigger",
+        "cannula motion --config rig.toml trigger",
+    ),
+    (
+        "motion",
+        "config",
+        "cannula motion --config rig.toml config",
+    ),
+    ("motion", "stop", "cannula motion --config rig.toml stop"),
+    ("motion", "rearm", "cannula motion --config rig.toml rearm"),
+    (
+        "motion",
+        "release",
+        "cannula motion --config rig.toml release",
+    ),
+    (
+        "motion",
+        "reboot",
+        "cannula motion --config rig.toml reboot --bootloader",
+    ),
+];
+
 /// Puts the examples into the help.
 pub fn add(mut command: Command) -> Command {
     let mut all = String::from("Examples:\n");
@@ -108,6 +182,12 @@ pub fn add(mut command: Command) -> Command {
         };
         let text = format!("{word}:\n  {}", lines.join("\n  "));
         command = command.mut_subcommand(name, |sub| sub.after_help(text));
+    }
+    for (name, inner, line) in NESTED {
+        let text = format!("Example:\n  {line}");
+        command = command.mut_subcommand(name, |sub| {
+            sub.mut_subcommand(inner, |sub| sub.after_help(text))
+        });
     }
     all += "\nExit status: 0 done, 1 failed (one sentence on standard error), 2 bad arguments.";
     command.after_help(all)
@@ -136,7 +216,8 @@ mod tests {
                     .contains(&line)
             );
         }
-        for line in EXAMPLES.iter().flat_map(|(_, lines)| *lines) {
+        let nested = NESTED.iter().map(|(.., line)| line);
+        for line in EXAMPLES.iter().flat_map(|(_, lines)| *lines).chain(nested) {
             // What the shell takes away.
             let words = line
                 .split_whitespace()
@@ -145,5 +226,27 @@ mod tests {
                 panic!("{line}: {e}");
             }
         }
+    }
+
+    /// Every command, however deep, ends its long help with an example of itself.
+    #[test]
+    fn every_help_ends_with_examples() {
+        fn walk(command: &mut Command, names: &str, seen: &mut usize) {
+            *seen += 1;
+            let help = command.render_long_help().to_string();
+            let end = help.split("Example").nth(1);
+            let last = names.rsplit(' ').next().unwrap_or_default();
+            let own = end.is_some_and(|e| e.contains("cannula ") && e.contains(last));
+            assert!(own, "{names}: {help}");
+            // clap's own `help` is none of ours.
+            let subs = command.get_subcommands_mut();
+            for sub in subs.filter(|s| s.get_name() != "help") {
+                let names = format!("{names} {}", sub.get_name());
+                walk(sub, &names, seen);
+            }
+        }
+        let mut seen = 0;
+        walk(&mut super::super::command(), "cannula", &mut seen);
+        assert_eq!(seen, 1 + EXAMPLES.len() + NESTED.len());
     }
 }
