@@ -105,6 +105,8 @@ fn a_refused_calibration_shows_what_there_is() {
         m.board.as_mut().unwrap().square_mm *= 2.0;
     });
     let out = dir.path().join("out");
+    std::fs::create_dir(&out).unwrap();
+    std::fs::write(out.join("cloud.ply"), "an earlier hand's").unwrap();
     assert_eq!(
         run(&["process", &bad, "--out", &out.display().to_string()]),
         1
@@ -116,6 +118,12 @@ fn a_refused_calibration_shows_what_there_is() {
         "{head}"
     );
     assert!(!view && !out.join("calibration.json").exists());
+    // The earlier cloud does not stand beside this report, and is not lost.
+    assert!(!out.join("cloud.ply").exists() && head.contains("cloud-before.ply"));
+    let aside = std::fs::read_to_string(out.join("cloud-before.ply")).unwrap();
+    assert_eq!(aside, "an earlier hand's");
+    // The refusal is the first thing that is weak.
+    assert!(weak(&page).contains("squares are") && !weak(&page).contains("Nothing that"));
     for words in ["Reprojection residuals, drawn", "Coverage", "Table 4"] {
         assert!(page.contains(words), "{words}");
     }
@@ -127,6 +135,72 @@ fn a_refused_calibration_shows_what_there_is() {
     );
     let page = std::fs::read_to_string(dir.path().join("rig.html")).unwrap();
     assert!(page.contains("No calibration") && !file.exists());
+    assert!(weak(&page).contains("squares are"));
+}
+
+/// The calibration's list of what is weak.
+fn weak(page: &str) -> &str {
+    let list = page.split("What is weak, and what to do").nth(1).unwrap();
+    list.split("<div").next().unwrap()
+}
+
+/// An angle that was given meets the checks that a chosen one meets, and a calibration that says no
+/// more than the contract asks is not taken for one without faults.
+#[test]
+fn a_given_angle_and_a_bare_calibration_are_doubted() {
+    let dir = tempfile::tempdir().unwrap();
+    let session = committed("tiny-1001").display().to_string();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let whole = path("whole.json");
+    assert_eq!(run(&["calibrate", &session, "--out", &whole]), 0);
+    let text = std::fs::read_to_string(&whole).unwrap();
+    let mut bare: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for key in ["provenance", "covariance", "warnings", "board"] {
+        bare.as_object_mut().unwrap().remove(key);
+    }
+    bare["camera"].as_object_mut().unwrap().remove("views");
+    std::fs::write(path("bare.json"), bare.to_string()).unwrap();
+    let of = |calibration: &str, angle: &str| {
+        let to = path(&format!("{angle}-{}", calibration.len()));
+        let words = [
+            "angle",
+            &session,
+            "--calibration",
+            calibration,
+            "--needle-angle",
+            angle,
+            "--out",
+            &to,
+        ];
+        assert_eq!(run(&words), 0);
+        std::fs::read_to_string(format!("{to}/report.html")).unwrap()
+    };
+    for (angle, faults) in [
+        ("85", &["clinical", "15–75°", "far wall", "straight on"][..]),
+        ("60", &["clinical", "far wall", "straight on"]),
+        ("25", &[]),
+    ] {
+        let page = of(&whole, angle);
+        let head = top(&page).0;
+        if !faults.is_empty() {
+            assert!(head.contains("Usable with caution:"), "{head}");
+        }
+        for word in ["clinical", "15–75°", "far wall", "straight on"] {
+            assert_eq!(
+                head.contains(word),
+                faults.contains(&word),
+                "{word}: {head}"
+            );
+        }
+        assert!(page.contains("two digits of its standard deviation"));
+    }
+    let page = of(&path("bare.json"), "25");
+    let head = top(&page).0;
+    assert!(head.contains("Usable with caution:"), "{head}");
+    for word in ["no date", "no uncertainty", "no views"] {
+        assert!(head.contains(word) && weak(&page).contains(word), "{word}");
+    }
+    assert!(!page.contains("two digits of its standard deviation"));
 }
 
 /// The corners and residuals in the file are those of the solve.
