@@ -67,7 +67,14 @@ pub fn sweep(
     acquisition.expose(rig.camera.exposure_laser_ms)?;
     let mut seen = Vec::new();
     let sweep = acquisition.sweep(&rig.scan_request(), &mut |shot| {
-        let expected = rig.scan.start_mm + rig.scan.spacing_mm * f64::from(shot.index);
+        // The middle of the exposure: on the fly the slide has moved on since the trigger.
+        let moved = 0.5e-3
+            * rig.camera.exposure_laser_ms
+            * match rig.scan.mode {
+                Mode::Stop => 0.0,
+                Mode::Constant => rig.scan.speed_mm_s,
+            };
+        let expected = rig.scan.start_mm + rig.scan.spacing_mm * f64::from(shot.index) + moved;
         assert!(
             (shot.slide_mm - expected).abs() < 1e-3,
             "{} {expected}",

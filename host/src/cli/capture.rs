@@ -391,7 +391,7 @@ impl<'a> Operator<'a> {
     fn new(common: &Common, cancel: &'a AtomicBool, out: &'a Output) -> Self {
         Self {
             poses: common.poses,
-            every: Duration::from_secs_f64(common.every.clamp(0.0, 3600.0)),
+            every: Duration::try_from_secs_f64(common.every.clamp(0.0, 3600.0)).unwrap_or_default(),
             missed: 0,
             in_a_row: 0,
             cancel,

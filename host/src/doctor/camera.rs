@@ -27,7 +27,6 @@ pub fn not_found(e: &OpenError, rig: &Rig) -> Check {
         (_, CameraKind::V4l) => {
             "`v4l2-ctl --list-devices` lists the devices; join the group video if it may not be opened"
         }
-        (_, CameraKind::Folder) => "camera.device must name a folder with images",
         (_, CameraKind::Simulated) => "take another simulation.seed",
     };
     let mut c = Checks::new("camera");
@@ -39,7 +38,7 @@ fn found(camera: &dyn Camera, rig: &Rig, c: &mut Checks) {
     let (width, height) = camera.size();
     let words = format!("{}, {width} × {height} pixels", camera.description());
     match rig.camera.kind {
-        CameraKind::Simulated | CameraKind::Folder => c.weak(
+        CameraKind::Simulated => c.weak(
             "found",
             format!("{words}: no real camera"),
             "set camera.kind to \"genicam\" or \"v4l\" for a real one",

@@ -48,10 +48,10 @@ fn what_is_missing_is_named_with_a_remedy() {
     assert!(!fit(&checks));
     assert_eq!(state(&checks, "board", "connection"), State::Wrong);
     assert_eq!(state(&checks, "camera", "trigger"), State::Skipped);
-    let mut folder = simulated();
-    folder.camera.kind = CameraKind::Folder;
-    folder.camera.device = "/no/such/folder".into();
-    let (checks, size) = rig(&folder);
+    let mut absent = simulated();
+    absent.camera.kind = CameraKind::Genicam;
+    absent.camera.device = "no such camera".into();
+    let (checks, size) = rig(&absent);
     assert_eq!(
         (state(&checks, "camera", "found"), size),
         (State::Wrong, None)

@@ -79,7 +79,7 @@ pub enum AcquireError {
 pub struct Shot {
     /// Which trigger of the sweep.
     pub index: u32,
-    /// Where the slide stood.
+    /// Where the slide was in the middle of the exposure.
     pub steps: i64,
     /// The same in mm.
     pub slide_mm: f64,
@@ -105,8 +105,10 @@ pub struct Taken {
 impl Shot {
     /// Of a trigger and its picture; `index` counts the positions of the sweep (a position that is
     /// visited again has a trigger of its own).
-    fn new(rig: &Rig, index: u32, trigger: &Trigger, taken: Taken) -> Self {
-        let steps = i64::from(trigger.position.0);
+    /// `moved_mm`: how far the slide came from the trigger to the middle of the exposure.
+    fn new(rig: &Rig, index: u32, trigger: &Trigger, moved_mm: f64, taken: Taken) -> Self {
+        let moved = (moved_mm / rig.mm(1)).round() as i64;
+        let steps = i64::from(trigger.position.0) + moved;
         Self {
             index,
             steps,
@@ -359,7 +361,7 @@ impl<'a> Acquisition<'a> {
 
     fn shot(&self, index: u32, trigger: &Trigger, picture: Picture) -> Shot {
         let arrived = Instant::now();
-        Shot::new(self.rig, index, trigger, Taken { picture, arrived })
+        Shot::new(self.rig, index, trigger, 0.0, Taken { picture, arrived })
     }
 
     /// Carries out a sweep; `sink` sees each shot as soon as it is matched (re-shot ones last).
@@ -377,8 +379,11 @@ impl<'a> Acquisition<'a> {
             timeout: Duration::from_secs_f64(rig.camera.timeout_ms / 1000.0),
             laser: request.laser != ScanLaser::Off,
         };
-        let mut make =
-            |trigger: &Trigger, taken: Taken| sink(Shot::new(rig, trigger.index, trigger, taken));
+        // On the fly the sheet sweeps on while the shutter is open; its middle is where the stripe's is.
+        let moved_mm = 0.5e-3 * self.armed.map_or(0.0, |e| e.ms) * rig.travel_mm_s(request);
+        let mut make = |trigger: &Trigger, taken: Taken| {
+            sink(Shot::new(rig, trigger.index, trigger, moved_mm, taken))
+        };
         let (mut sweep, unpaired) = follow.run(&mut scan, anchor, &mut make)?;
         drop(scan);
         sweep.planned = request.count;

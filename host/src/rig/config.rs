@@ -112,9 +112,10 @@ pub enum CameraKind {
     V4l,
     /// Rendered.
     Simulated,
-    /// Images of a folder.
-    Folder,
 }
+
+/// Most that the sheet may travel while the shutter is open, mm: about a stripe's own width.
+const MOST_SMEAR_MM: f64 = 0.2;
 
 /// What starts an exposure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -177,8 +178,6 @@ pub enum Mode {
     Stop,
     /// On the fly at constant speed.
     Constant,
-    /// On the fly, ramps included.
-    Ramped,
 }
 
 /// `[simulation]`
@@ -456,22 +455,23 @@ impl Rig {
                 "\"tiny\", \"nominal\" or \"hard\"",
             );
         }
-        let folder_or_device = matches!(self.camera.kind, CameraKind::Folder | CameraKind::V4l);
-        if folder_or_device && self.camera.device.is_empty() {
+        if self.camera.kind == CameraKind::V4l && self.camera.device.is_empty() {
             return fail(
                 "camera.device",
                 "\"\"".into(),
-                "the device or folder to take images from",
+                "the device to take images from",
             );
         }
-        // A folder gives its frames in order whatever is asked: without the board's ledger nothing would tell a
-        // frame's position.
-        let by_board = self.camera.trigger == TriggerSource::Board;
-        if self.camera.kind == CameraKind::Folder && !by_board {
+        let smear_mm =
+            1e-3 * self.camera.exposure_laser_ms * self.travel_mm_s(&self.scan_request());
+        if smear_mm > MOST_SMEAR_MM {
             return fail(
-                "camera.trigger",
-                format!("{:?}", self.camera.trigger).to_lowercase(),
-                "\"board\": the frames of a folder follow the board's triggers",
+                "scan.speed_mm_s",
+                self.scan.speed_mm_s.to_string(),
+                &format!(
+                    "at most {:.3}, so that the sheet travels no more than {MOST_SMEAR_MM} mm in camera.exposure_laser_ms (or scan.mode = \"stop\")",
+                    1e3 * MOST_SMEAR_MM / self.camera.exposure_laser_ms
+                ),
             );
         }
         let [left, top, width, height] = self.camera.region;
@@ -580,9 +580,17 @@ impl Rig {
             mode: match self.scan.mode {
                 Mode::Stop => ScanMode::StopAndShoot,
                 Mode::Constant => ScanMode::Constant,
-                Mode::Ramped => ScanMode::Ramped,
             },
             laser: ScanLaser::Timed,
+        }
+    }
+
+    /// How fast the slide travels at a scan's triggers, mm/s; 0 where it stops for them.
+    pub fn travel_mm_s(&self, request: &ScanRequest) -> f64 {
+        match (request.mode, request.speed_um_s) {
+            (ScanMode::StopAndShoot, _) => 0.0,
+            (_, 0) => self.board.max_speed_mm_s,
+            (_, speed) => 1e-3 * f64::from(speed),
         }
     }
 

@@ -27,26 +27,6 @@ pub struct FolderCamera {
 }
 
 impl FolderCamera {
-    /// The PNG and JPEG images of a folder in the order of their names.
-    pub fn open(folder: &Path) -> Result<Self, CameraError> {
-        let fail = |reason: String| CameraError::NotFound(folder.display().to_string(), reason);
-        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
-            .map_err(|e| fail(e.to_string()))?
-            .filter_map(|entry| Some(entry.ok()?.path()))
-            .filter(|path| {
-                let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-                ["png", "jpg", "jpeg"].contains(&extension.to_lowercase().as_str())
-            })
-            .collect();
-        files.sort();
-        let stamped = files
-            .into_iter()
-            .zip(0..)
-            .map(|(f, i)| (f, i * SPACING_US))
-            .collect();
-        Self::with(folder.display().to_string(), stamped)
-    }
-
     /// A replay: given files with the times of their triggers, µs of the board's clock. Each comes
     /// once its line of the ledger has.
     pub fn of(name: String, files: Vec<(PathBuf, i64)>) -> Result<Self, CameraError> {

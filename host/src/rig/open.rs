@@ -2,14 +2,12 @@
 
 use super::camera::{Camera, CameraError};
 use super::config::{CameraKind, Rig, TriggerSource};
-use super::folder::FolderCamera;
 use super::link::{self, Board, LinkError};
 use super::simulated::{Edge, SimulatedCamera, Stage};
 use crate::simulation::mcu::{self, SimulatedBoard, VirtualPipe};
 use crate::simulation::{Renderer, Scene};
 use cannula_shared::message::{State, Status};
 use cannula_shared::units::Micros;
-use std::path::Path;
 use std::sync::Arc;
 
 /// The port that means the simulated board, on virtual time, in this process.
@@ -131,6 +129,7 @@ pub fn wire(rig: &Rig, pipe: &VirtualPipe) -> Box<dyn FnMut() -> Vec<Edge> + Sen
             .map(|e| Edge {
                 time_us: e.cycle / cannula_shared::units::CYCLES_PER_MICRO,
                 slide_mm: e.slide as f64 * mm_per_step - zero_mm,
+                speed_mm_s: e.speed * mm_per_step,
                 laser: e.laser,
             })
             .collect()
@@ -165,14 +164,14 @@ pub fn camera(rig: &Rig) -> Result<(Box<dyn Camera>, Option<Stage>), OpenError> 
             }
             let stage = stage(rig)?;
             (
-                Box::new(SimulatedCamera::by_ledger(stage.clone(), rig.mm(1))),
+                Box::new(SimulatedCamera::by_ledger(
+                    stage.clone(),
+                    rig.mm(1),
+                    rig.travel_mm_s(&rig.scan_request()),
+                )),
                 Some(stage),
             )
         }
-        CameraKind::Folder => (
-            Box::new(FolderCamera::open(Path::new(&rig.camera.device))?),
-            None,
-        ),
         CameraKind::Genicam => (genicam(rig)?, None),
         CameraKind::V4l => (v4l(rig)?, None),
     })

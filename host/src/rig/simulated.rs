@@ -34,6 +34,8 @@ pub struct Edge {
     pub time_us: u64,
     /// Where the slide truly stands, mm (from the step edges).
     pub slide_mm: f64,
+    /// How fast it moves, mm/s.
+    pub speed_mm_s: f64,
     /// Whether the laser's pin is high.
     pub laser: bool,
 }
@@ -180,9 +182,12 @@ impl Stage {
         let jitter = sequence.wrapping_mul(0x9E37_79B9_7F4A_7C15) % JITTER_US;
         let time = EPOCH_US + edge.time_us as f64 * (1.0 + DRIFT) + jitter as f64;
         let scene = self.renderer.scene();
-        let plane = edge.laser.then(|| scene.lit_plane(edge.slide_mm, sequence));
+        // The sheet sweeps on while the shutter is open: where it is in the middle stands for all
+        // of it.
+        let slide_mm = edge.slide_mm + 0.5e-3 * state.exposure_ms * edge.speed_mm_s;
+        let plane = edge.laser.then(|| scene.lit_plane(slide_mm, sequence));
         if let Some(plane) = plane {
-            state.lit.push((edge.slide_mm, plane.d));
+            state.lit.push((slide_mm, plane.d));
         }
         let exposure = state.exposure_ms / self.laser_ms;
         let render = |renderer: Arc<Renderer>, still: Arc<Still>| {
@@ -220,10 +225,40 @@ pub struct SimulatedCamera {
 enum Cable {
     /// A simulated board in this process.
     Wired(Box<dyn FnMut() -> Vec<Edge> + Send>),
-    /// The ledger: the board is behind a port, and no cable leads here. mm a step.
-    Ledger(f64),
+    /// The ledger: the board is behind a port, and no cable leads here.
+    Ledger(Ledger),
     /// None: it exposes by command or by itself, beside a simulated board.
     Own(Own),
+}
+
+/// What the ledger tells of the slide.
+struct Ledger {
+    mm_per_step: f64,
+    /// Speed of a scan on the fly, mm/s; 0 where scans stop.
+    speed_mm_s: f64,
+    /// The trigger before: its time, µs, and position, mm.
+    before: Option<(u64, f64)>,
+}
+
+impl Ledger {
+    /// A trigger comes from a slide in motion if it follows the one before as fast as a scan
+    /// travels; the first of a sweep passes for one at rest.
+    fn edge(&mut self, trigger: &Trigger) -> Edge {
+        let slide_mm = f64::from(trigger.position.0) * self.mm_per_step;
+        let time_us = trigger.time.0;
+        let moving = self.before.is_some_and(|(then, from)| {
+            let seconds = 1e-6 * time_us.saturating_sub(then) as f64;
+            let travel = self.speed_mm_s * seconds;
+            travel > 0.0 && ((slide_mm - from) / travel - 1.0).abs() < 0.05
+        });
+        self.before = Some((time_us, slide_mm));
+        Edge {
+            time_us,
+            slide_mm,
+            speed_mm_s: if moving { self.speed_mm_s } else { 0.0 },
+            laser: trigger.laser,
+        }
+    }
 }
 
 /// What a camera without a cable sees of the simulated board.
@@ -239,6 +274,7 @@ impl Own {
         Edge {
             time_us: e.cycle / CYCLES_PER_MICRO,
             slide_mm: e.slide as f64 * self.mm_per_step - self.zero_mm,
+            speed_mm_s: e.speed * self.mm_per_step,
             laser: e.laser,
         }
     }
@@ -279,10 +315,15 @@ impl SimulatedCamera {
     }
 
     /// A camera that takes the ledger's lines for edges.
-    pub fn by_ledger(stage: Stage, mm_per_step: f64) -> Self {
+    /// `speed_mm_s`: of a scan on the fly; 0 where scans stop.
+    pub fn by_ledger(stage: Stage, mm_per_step: f64, speed_mm_s: f64) -> Self {
         Self {
             stage,
-            cable: Cable::Ledger(mm_per_step),
+            cable: Cable::Ledger(Ledger {
+                mm_per_step,
+                speed_mm_s,
+                before: None,
+            }),
         }
     }
 
@@ -375,12 +416,9 @@ impl Camera for SimulatedCamera {
     }
 
     fn ledger(&mut self, trigger: &Trigger) {
-        if let Cable::Ledger(mm) = self.cable {
-            self.stage.edge(Edge {
-                time_us: trigger.time.0,
-                slide_mm: f64::from(trigger.position.0) * mm,
-                laser: trigger.laser,
-            });
+        if let Cable::Ledger(ledger) = &mut self.cable {
+            let edge = ledger.edge(trigger);
+            self.stage.edge(edge);
         }
     }
 

@@ -7,7 +7,7 @@ use super::{INTERRUPT_LATENCY, Wires};
 use cannula_firmware::engine::{Engine, ExposureEdge, HaltOn, MoveSetup, TriggerEdge};
 use cannula_firmware::words::{CompareWord, LIGHT_DELAY, LightWord, StepWord};
 use cannula_shared::message::Inputs;
-use cannula_shared::units::{Cycles, Micros};
+use cannula_shared::units::{CYCLES_PER_MICRO, Cycles, Micros};
 use std::collections::VecDeque;
 
 /// Cycles from a STEP edge to the trigger that it makes, as the binary's programs do it.
@@ -47,6 +47,8 @@ pub(super) struct Machines {
     left: u32,
     interval: u64,
     next_edge: u64,
+    /// Which way the last edge moved the slide: 1 away from the switch, −1 towards it.
+    heading: f64,
     last_edge: u64,
     step_fall: u64,
     steps: u32,
@@ -94,6 +96,7 @@ impl Machines {
             left: 0,
             interval: 0,
             next_edge: NEVER,
+            heading: 0.0,
             last_edge: 0,
             step_fall: NEVER,
             steps: 0,
@@ -293,8 +296,11 @@ impl Machines {
         self.trace.record(at, Pin::Step, true);
         self.step_fall = at + STEP_WIDTH;
         self.steps = self.steps.wrapping_add(1);
+        self.heading = 0.0;
         if !wires.enable.get() {
-            self.rig.slide += if wires.direction.get() { 1 } else { -1 };
+            let away = wires.direction.get();
+            self.rig.slide += if away { 1 } else { -1 };
+            self.heading = if away { 1.0 } else { -1.0 };
         }
         if self.comparing {
             if self.to_trigger.is_none() {
@@ -356,8 +362,18 @@ impl Machines {
             trigger: None,
             cycle: at,
             slide: self.rig.slide,
+            speed: self.speed(),
             laser,
         });
+    }
+
+    /// Of the slide between the edge before and the one to come, steps/s.
+    fn speed(&self) -> f64 {
+        if self.next_edge == NEVER || self.halted {
+            return 0.0;
+        }
+        let interval = self.next_edge.saturating_sub(self.last_edge).max(1);
+        self.heading * 1e6 * CYCLES_PER_MICRO as f64 / interval as f64
     }
 
     fn trigger(&mut self, at: u64) {
@@ -378,6 +394,7 @@ impl Machines {
             trigger: Some(number),
             cycle: at,
             slide: self.rig.slide,
+            speed: self.speed(),
             laser,
         });
         if let Some(delay) = self.rig.exposure_delay {

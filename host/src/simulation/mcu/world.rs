@@ -102,7 +102,7 @@ impl Default for Rig {
 }
 
 /// A frame that the camera has exposed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposed {
     /// Number of the trigger since power-on; `None`: the camera began by itself.
     pub trigger: Option<u64>,
@@ -110,6 +110,8 @@ pub struct Exposed {
     pub cycle: u64,
     /// Where the slide stood then: steps away from the edge of the home switch.
     pub slide: i64,
+    /// How fast it moved then, steps/s away from the switch; 0 at rest.
+    pub speed: f64,
     /// Whether the laser was on.
     pub laser: bool,
 }
