@@ -31,7 +31,12 @@ const open = async (url, name, width, scheme) => {
 const close = async (page, name) => {
   const over = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
   if (over > 0) fault(`${name}: the page is ${over} px wider than the window`);
-  await page.screenshot({ path: `${out}/${name}.png`, fullPage: true });
+  // In pieces: above 8192 px the browser's picture begins again from the top.
+  const { width, height } = await page.evaluate(() => ({ width: document.documentElement.clientWidth, height: document.documentElement.scrollHeight }));
+  for (let y = 0, k = 1; y < height; y += 6000, k += 1) {
+    const clip = { x: 0, y, width, height: Math.min(6000, height - y) };
+    await page.screenshot({ path: `${out}/${name}${k > 1 ? `-${k}` : ''}.png`, fullPage: true, clip });
+  }
   await page.close();
 };
 for (const [k, other] of others.entries()) {

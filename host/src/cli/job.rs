@@ -10,6 +10,7 @@ use crate::output::{
 use crate::pipeline::{Measurement, Method, PipelineError, Stage, Times, measure};
 use crate::progress::Progress;
 use crate::report;
+use crate::rig::config::CameraKind;
 use crate::session::Session;
 use clap::ValueEnum;
 use std::path::Path;
@@ -201,6 +202,12 @@ impl Job<'_> {
                 self.out.warn(&words);
             }
             m.warnings.push(words);
+        }
+        let rig = self.provenance.rig.as_ref();
+        if rig.is_some_and(|r| r.camera.kind == CameraKind::Simulated) {
+            let words = "the camera is a simulated one (camera.kind): this hand is rendered";
+            self.out.warn(words);
+            m.warnings.push(words.to_owned());
         }
         let (settings, source) = self.args.settings();
         let curved = m.decision.cautions(m.request.radius_mm, &settings.limits);

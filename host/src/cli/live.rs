@@ -51,7 +51,8 @@ impl Depth {
 struct Frames<P: Pixel> {
     whole: Reconstruction<P>,
     /// Slide position and points of each frame, as they came.
-    results: Vec<(f64, FrameResult)>,
+    /// Index, position and points of each.
+    results: Vec<(u32, f64, FrameResult)>,
 }
 
 impl<P: Pixel> Frames<P> {
@@ -70,15 +71,35 @@ impl<P: Pixel> Frames<P> {
             path: path(),
             source,
         })?;
-        self.results.push((shot.slide_mm, result));
+        self.results.push((shot.index, shot.slide_mm, result));
         Ok(())
+    }
+
+    /// The frames that show no stripe at all though others before and after them do.
+    fn without_stripe(&self) -> Vec<u32> {
+        let dark = |r: &FrameResult| r.hand.is_empty() && r.background.is_empty();
+        let lit = |index: u32| self.results.iter().any(|(i, _, r)| *i == index && !dark(r));
+        let shown: Vec<u32> = self
+            .results
+            .iter()
+            .map(|r| r.0)
+            .filter(|i| lit(*i))
+            .collect();
+        let (Some(first), Some(last)) = (shown.iter().min(), shown.iter().max()) else {
+            return Vec::new();
+        };
+        self.results
+            .iter()
+            .filter(|(i, _, r)| dark(r) && (first..=last).contains(&i))
+            .map(|(i, ..)| *i)
+            .collect()
     }
 
     /// Puts the frames in the order of travel: one that was shot again came last, and the surface
     /// is laid through neighbouring stripes.
     fn in_order(mut self) -> Reconstruction<P> {
-        self.results.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for ((_, mut result), frame) in self.results.into_iter().zip(0..) {
+        self.results.sort_by(|a, b| a.1.total_cmp(&b.1));
+        for ((_, _, mut result), frame) in self.results.into_iter().zip(0..) {
             for point in result.hand.iter_mut().chain(&mut result.background) {
                 point.frame = frame;
             }
@@ -157,11 +178,16 @@ impl Live {
             return Err(self.left_out.swap_remove(0));
         }
         let (last, begun) = (self.last, self.begun);
-        let left_out: Vec<String> = self
-            .left_out
-            .iter()
-            .map(|e| format!("{e:#}: left out"))
-            .collect();
+        let dark = match &self.depth {
+            Depth::Eight(f) => f.without_stripe(),
+            Depth::Sixteen(f) => f.without_stripe(),
+            Depth::Unknown => Vec::new(),
+        };
+        let dark = dark.iter().map(|i| {
+            format!("frame {i}: the laser's stripe is nowhere in it (is something in the way?): left out")
+        });
+        let unusable = self.left_out.iter().map(|e| format!("{e:#}: left out"));
+        let left_out: Vec<String> = unusable.chain(dark).collect();
         let (weak, times) = (left_out.clone(), &self.times);
         let measured = match self.depth {
             Depth::Eight(f) => decide(f.in_order(), file, entry, needle, weak, times),
@@ -385,6 +411,20 @@ mod tests {
             spoiled.measured.decision.needle.axis,
             without.measured.decision.needle.axis
         );
+
+        // A picture in which the laser did not shine, too; at the scan's end that is no fault.
+        let scan = played.session.manifest.scan.as_ref().unwrap();
+        let ambient = folder::read(&played.session.path(scan.ambient.as_ref().unwrap())).unwrap();
+        let last = played.frames() - 1;
+        let dark = played
+            .measure(&all, |i, picture| match i {
+                12 => ambient.clone(),
+                i if i == last => ambient.clone(),
+                _ => picture,
+            })
+            .unwrap();
+        assert_eq!(dark.left_out.len(), 1, "{:?}", dark.left_out);
+        assert!(dark.left_out[0].starts_with("frame 12: the laser's stripe"));
 
         // Nothing but such pictures: the first one's sentence.
         let none = played.measure(&all, |_, picture| {

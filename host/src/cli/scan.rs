@@ -10,7 +10,6 @@ use crate::pipeline::belong_together;
 use crate::progress::Progress;
 use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{self, Step};
-use crate::rig::config::CameraKind;
 use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
 use crate::session::{Entry, Session};
@@ -81,16 +80,13 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         size.1
     );
     // Before anything moves: are the positions of the scan those that were calibrated?
-    let mut weak = belong_together(
+    let weak = belong_together(
         &args.calibration,
         size,
         &model,
         &calibration.positions(),
         &rig.scan.positions(),
     )?;
-    if rig.camera.kind == CameraKind::Simulated {
-        weak.push("the camera is simulated (camera.kind): this hand is a rendered one".into());
-    }
     let mut recording = Recording::open(&args.out.join("session"), size, &rig.geometry())?;
     recording.manifest.entry = Some(entry.clone());
     recording.scan_folder(args.force)?;
