@@ -388,6 +388,10 @@ pub(crate) fn exposed<P: Pixel>(
     })
 }
 
+/// A scan may run so far beyond the calibrated positions, as a part of their range, without a word:
+/// the line D = a·x + b is no less known there.
+const SLACK: f64 = 0.01;
+
 /// Whether a scan of images of `size` at these slide `positions` can be worked on with a calibration;
 /// warnings where it can but should not. `file` is what an error names.
 pub(crate) fn belong_together(
@@ -426,10 +430,12 @@ pub(crate) fn belong_together(
     };
     let (low, high) = range(&mut calibrated.iter().copied());
     let (first, last) = range(&mut positions.iter().copied());
-    if calibrated.len() < 2 || (first >= low - 1e-6 && last <= high + 1e-6) {
+    let reach = high - low;
+    // On the fly exposures lie a little after their triggers.
+    let slack = 1e-6 + SLACK * reach;
+    if calibrated.len() < 2 || (first >= low - slack && last <= high + slack) {
         return Ok(Vec::new());
     }
-    let reach = high - low;
     let what = format!(
         "the scan runs from {first} to {last} mm, the light planes were calibrated from {low} to {high} mm"
     );
