@@ -44,10 +44,12 @@ fn what_is_wrong_is_said_with_its_key() {
             "[simulation]\nprofile = \"easy\"",
             "simulation.profile is \"easy\"",
         ),
-        ("[camera]\nkind = \"folder\"", "camera.device is \"\""),
+        ("[camera]\nkind = \"v4l\"", "camera.device is \"\""),
+        ("[camera]\nkind = \"folder\"", "unknown variant `folder`"),
+        ("[scan]\nmode = \"ramped\"", "unknown variant `ramped`"),
         (
-            "[camera]\nkind = \"folder\"\ndevice = \"x\"\ntrigger = \"free\"",
-            "camera.trigger is free: give \"board\"",
+            "[camera]\nexposure_laser_ms = 20.0",
+            "scan.speed_mm_s is 20: give at most 10.000",
         ),
         (
             "[camera]\nkind = \"v4l\"\ndevice = \"/dev/video0\"",
