@@ -108,14 +108,21 @@ def rays(pixels, k, d):
     return np.c_[xy, np.ones(len(xy))]
 
 
-def work(session, images, corners_of):
+def camera(session, images, corners_of):
+    """The board's points, its corners in each light pose, camera matrix and distortion."""
     size = (session["board"]["columns"], session["board"]["rows"])
     board = board_points(session)
     shape = (session["image"]["width"], session["image"]["height"])
     views = [corners_of(images[c["image"]], size) for c in session["camera"]]
     poses = [corners_of(images[p["off"]], size) for p in session["light"]]
-    all_views = [v for v in views + poses if v is not None]
-    _, k, d, _, _ = cv2.calibrateCamera([board] * len(all_views), all_views, shape, None, None)
+    seen = [v for v in views + poses if v is not None]
+    _, k, d, _, _ = cv2.calibrateCamera([board] * len(seen), seen, shape, None, None)
+    return board, poses, k, d
+
+
+def work(session, images, corners_of):
+    board, poses, k, d = camera(session, images, corners_of)
+    shape = (session["image"]["width"], session["image"]["height"])
     rows = []
     for pose, corners in zip(session["light"], poses):
         if corners is None:

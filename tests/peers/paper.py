@@ -8,7 +8,7 @@ no lower bound there, so that the other terms move a point no further (measured:
 import cv2
 import numpy as np
 
-from opencv import board_points, rays
+from opencv import camera, rays
 
 
 def _deletable():
@@ -171,13 +171,7 @@ def meet(normal, d, ray):
 
 def work(session, images, corners_of):
     """The whole job; a dictionary of what each stage gave."""
-    size = (session["board"]["columns"], session["board"]["rows"])
-    board = board_points(session)
-    shape = (session["image"]["width"], session["image"]["height"])
-    views = [corners_of(images[c["image"]], size) for c in session["camera"]]
-    poses = [corners_of(images[p["off"]], size) for p in session["light"]]
-    seen = [v for v in views + poses if v is not None]
-    _, k, d, _, _ = cv2.calibrateCamera([board] * len(seen), seen, shape, None, None)
+    board, poses, k, d = camera(session, images, corners_of)
     light = light_planes(session, images, poses, board, k, d)
     region = hand_region(images[session["scan"]["ambient"]])
     cloud, pixels, frames = [], [], []

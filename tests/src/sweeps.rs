@@ -9,6 +9,11 @@ use cannula::rig::simulated::Stage;
 use cannula::simulation::{Renderer, Subject, scan_stripe};
 use std::sync::atomic::AtomicBool;
 
+/// rig.toml of a simulated rig with a small camera, seven slide positions for the light planes.
+pub const SMALL_RIG: &str = "[board]\nport = \"simulated\"\nsettle_ms = 20.0\n\
+                             [light]\nspacing_mm = 10.0\ncount = 7\n\
+                             [simulation]\nseed = 6\nprofile = \"tiny\"\n";
+
 /// A rig whose twelve positions all show the hand.
 pub fn rig(mode: Mode) -> Rig {
     let mut rig = Rig::default();

@@ -1,6 +1,7 @@
 //! truth.json of a rendered recording, and errors against it, computed apart from the code under
 //! test.
 
+use cannula::session::{Manifest, Session};
 use nalgebra::{Point3, Vector3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -10,6 +11,23 @@ pub fn committed(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("data")
         .join(name)
+}
+
+/// A committed recording's session.json, its images named by their full paths.
+pub fn manifest(name: &str) -> Manifest {
+    let folder = committed(name);
+    let mut m = Session::open(&folder).expect("a sound recording").manifest;
+    let whole = |name: &mut String| *name = folder.join(&*name).display().to_string();
+    m.camera.iter_mut().for_each(|c| whole(&mut c.image));
+    for pose in &mut m.light {
+        pose.off.iter_mut().for_each(whole);
+        pose.on.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    if let Some(scan) = &mut m.scan {
+        scan.ambient.iter_mut().for_each(whole);
+        scan.frames.iter_mut().for_each(|f| whole(&mut f.image));
+    }
+    m
 }
 
 /// A recording of the collection beside the workspace, if that is there; says so in a word if not.

@@ -6,24 +6,12 @@ use cannula::needle;
 use cannula::pipeline::{Measurement, Method, PipelineError, Times, calibrate, measure};
 use cannula::progress::Silent;
 use cannula::session::{self, CameraView, Manifest, Session, SessionError};
-use cannula_tests::truth::committed;
+use cannula_tests::truth::{committed, manifest};
 use std::path::{Path, PathBuf};
 
 /// The small recording with its images named by their full paths, to be spoiled.
 fn recording() -> Manifest {
-    let folder = committed("tiny-1001");
-    let mut m = Session::open(&folder).unwrap().manifest;
-    let whole = |name: &mut String| *name = folder.join(&*name).display().to_string();
-    m.camera.iter_mut().for_each(|c| whole(&mut c.image));
-    for pose in &mut m.light {
-        pose.off.iter_mut().for_each(whole);
-        pose.on.iter_mut().for_each(|f| whole(&mut f.image));
-    }
-    if let Some(scan) = &mut m.scan {
-        scan.ambient.iter_mut().for_each(whole);
-        scan.frames.iter_mut().for_each(|f| whole(&mut f.image));
-    }
-    m
+    manifest("tiny-1001")
 }
 
 /// Writes it as it is, without the checks of `session::write`, and processes it.

@@ -6,7 +6,7 @@ use cannula::cloud::read_ply;
 use cannula::pipeline::{Method, Times, calibrate, measure};
 use cannula::progress::Silent;
 use cannula::session::{Manifest, Session};
-use cannula_tests::truth::committed;
+use cannula_tests::truth::{committed, manifest};
 use std::path::Path;
 
 fn run(words: &[&str]) -> u8 {
@@ -16,18 +16,7 @@ fn run(words: &[&str]) -> u8 {
 
 /// The small recording in a folder of its own, changed.
 fn recording(folder: &Path, change: impl FnOnce(&mut Manifest)) -> String {
-    let from = committed("tiny-1001");
-    let mut m = Session::open(&from).unwrap().manifest;
-    let whole = |name: &mut String| *name = from.join(&*name).display().to_string();
-    m.camera.iter_mut().for_each(|c| whole(&mut c.image));
-    for pose in &mut m.light {
-        pose.off.iter_mut().for_each(whole);
-        pose.on.iter_mut().for_each(|f| whole(&mut f.image));
-    }
-    if let Some(scan) = &mut m.scan {
-        scan.ambient.iter_mut().for_each(whole);
-        scan.frames.iter_mut().for_each(|f| whole(&mut f.image));
-    }
+    let mut m = manifest("tiny-1001");
     change(&mut m);
     std::fs::create_dir_all(folder).unwrap();
     let text = serde_json::to_vec(&m).unwrap();

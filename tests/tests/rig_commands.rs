@@ -1,5 +1,6 @@
 //! The commands that drive a rig, run as the program runs them, on the simulated rig.
 
+use cannula_tests::sweeps::SMALL_RIG;
 use std::ffi::OsString;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -94,10 +95,7 @@ fn a_recording_in_parts_leads_to_the_needle() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let config = path("rig.toml");
-    let text = "[board]\nport = \"simulated\"\nsettle_ms = 20.0\n\
-                [light]\nspacing_mm = 10.0\ncount = 7\n\
-                [simulation]\nseed = 6\nprofile = \"tiny\"\n";
-    std::fs::write(&config, text).unwrap();
+    std::fs::write(&config, SMALL_RIG).unwrap();
     assert_eq!(cannula(&["config", &config]), 0);
     let rig = path("session");
     let capture = |what: &str, more: &[&str]| {

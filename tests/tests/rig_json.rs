@@ -2,6 +2,7 @@
 //! where a command warns or fails.
 
 use cannula_tests::program::{self, start, wait_output};
+use cannula_tests::sweeps::SMALL_RIG;
 use serde_json::Value;
 use std::time::Duration;
 
@@ -65,10 +66,7 @@ fn recording_scanning_replaying() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let config = path("rig.toml");
-    let text = "[board]\nport = \"simulated\"\nsettle_ms = 20.0\n\
-                [light]\nspacing_mm = 10.0\ncount = 7\n\
-                [simulation]\nseed = 6\nprofile = \"tiny\"\n";
-    std::fs::write(&config, text).unwrap();
+    std::fs::write(&config, SMALL_RIG).unwrap();
     let rig = ["--config", &config];
     let session = path("session");
     let capture = |what: &str, more: &[&str]| {

@@ -70,21 +70,22 @@ pub(super) fn again<P: Pixel>(
         position,
         seen: true,
     });
-    let mut layout = Layout {
+    let layout = Layout {
         places: places.collect(),
         dark_first: false,
     };
     // An edge of a search level c times as coarse as the image starts at a blur of 0.4 + c/2.
     let coarseness = (2.0 * (blur_px.hypot(PIXEL) - 0.4)).max(1.0);
-    let board = Board::new(image, &layout, geometry, coarseness);
+    let mut board = Board::new(image, &layout, geometry, coarseness);
     let brightness: f64 = (0..board.sites.len())
         .map(|i| {
             let [same, other] = board.diagonals(i);
             (same - other) * board.expected_sign(i)
         })
         .sum();
-    layout.dark_first = brightness < 0.0;
-    let mut board = Board::new(image, &layout, geometry, coarseness);
+    if brightness < 0.0 {
+        board.sign = -1.0;
+    }
     board.approach();
     board.check()?;
     board.finish()

@@ -1,4 +1,4 @@
-//! Images of a folder, or of a recording, as if a camera took them.
+//! Images of a recording, as if a camera took them.
 
 use super::acquisition::{Ledger, LedgerEvent};
 use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
@@ -22,23 +22,15 @@ pub struct FolderCamera {
     /// File and time on the camera's clock.
     files: VecDeque<(PathBuf, i64)>,
     sequence: u64,
-    /// In a replay: frames whose lines of the ledger have come, and that are not yet taken.
-    due: Option<usize>,
+    /// Frames whose lines of the ledger have come, and that are not yet taken.
+    due: usize,
 }
 
 impl FolderCamera {
     /// A replay: given files with the times of their triggers, µs of the board's clock. Each comes
     /// once its line of the ledger has.
     pub fn of(name: String, files: Vec<(PathBuf, i64)>) -> Result<Self, CameraError> {
-        let stamped = files.into_iter().map(|(f, t)| (f, t + CLOCK_US)).collect();
-        let camera = Self::with(name, stamped)?;
-        Ok(Self {
-            due: Some(0),
-            ..camera
-        })
-    }
-
-    fn with(name: String, files: VecDeque<(PathBuf, i64)>) -> Result<Self, CameraError> {
+        let files: VecDeque<_> = files.into_iter().map(|(f, t)| (f, t + CLOCK_US)).collect();
         let Some((first, _)) = files.front() else {
             return Err(CameraError::NotFound(name, "no images there".into()));
         };
@@ -51,7 +43,7 @@ impl FolderCamera {
             size: (header.width, header.height),
             files,
             sequence: 0,
-            due: None,
+            due: 0,
         })
     }
 }
@@ -69,14 +61,11 @@ impl Camera for FolderCamera {
         Ok(())
     }
 
-    fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
-        match &mut self.due {
-            Some(0) => return Ok(None),
-            Some(due) => *due -= 1,
-            // Nothing waits in a folder while nobody asks for it.
-            None if timeout.is_zero() => return Ok(None),
-            None => {}
+    fn wait(&mut self, _timeout: Duration) -> Result<Option<Frame>, CameraError> {
+        if self.due == 0 {
+            return Ok(None);
         }
+        self.due -= 1;
         let Some((path, time_us)) = self.files.pop_front() else {
             return Ok(None);
         };
@@ -90,9 +79,7 @@ impl Camera for FolderCamera {
     }
 
     fn ledger(&mut self, _trigger: &Trigger) {
-        if let Some(due) = &mut self.due {
-            *due += 1;
-        }
+        self.due += 1;
     }
 }
 

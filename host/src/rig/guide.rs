@@ -230,13 +230,8 @@ mod tests {
     use super::*;
     use crate::board::{Corner, Quality};
     use crate::geometry::{Camera, Distortion, Matrix2, Pose, Vector3};
+    use crate::synthetic::BOARD;
     use nalgebra::Rotation3;
-
-    const BOARD: BoardGeometry = BoardGeometry {
-        columns: 8,
-        rows: 6,
-        square_mm: 10.0,
-    };
 
     fn shown(rotation: Vector3, at: (f64, f64)) -> Detection {
         let camera = Camera {

@@ -112,12 +112,7 @@ mod tests {
     use crate::board::{Corner, Quality};
     use crate::geometry::Matrix2;
     use crate::simulation::{Profile, Scene};
-
-    const BOARD: BoardGeometry = BoardGeometry {
-        columns: 8,
-        rows: 6,
-        square_mm: 10.0,
-    };
+    use crate::synthetic::BOARD;
 
     /// The corners as they truly are.
     fn seen_in(scene: &Scene, pose: &crate::geometry::Pose) -> Detection {

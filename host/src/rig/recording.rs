@@ -313,12 +313,7 @@ fn fresh(folder: &Path, name: impl Fn(usize) -> String, from: usize) -> String {
 mod tests {
     use super::*;
     use crate::image::Image;
-
-    const BOARD: BoardGeometry = BoardGeometry {
-        columns: 8,
-        rows: 6,
-        square_mm: 10.0,
-    };
+    use crate::synthetic::BOARD;
 
     fn picture(value: u8) -> Picture {
         Picture::Eight(Image::new(64, 48, value))
