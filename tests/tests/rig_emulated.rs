@@ -34,6 +34,9 @@ const LIMIT: Duration = Duration::from_secs(150);
 const FROM_HOME: i64 = 800;
 /// Steps per mm, and where zero lies beyond the switch, mm.
 const PER_MM: i64 = 800;
+/// Exposure with the laser, µs. In half of it the slide goes 16 steps on, at 10 mm/s.
+const EXPOSURE: u64 = 4000;
+const MIDDLE: i64 = 16;
 
 struct Bench {
     emulator: Shared,
@@ -90,9 +93,11 @@ impl Bench {
         let text = format!(
             "[board]\nport = {:?}\ntravel_mm = 300.0\nhoming_fast_mm_s = 20.0\nhoming_slow_mm_s = 5.0\n\
              clearance_mm = 1.0\nsettle_ms = 5.0\n\
+             [camera]\nexposure_laser_ms = {}\n\
              [scan]\nstart_mm = 2.0\nspacing_mm = 0.5\ncount = 12\nspeed_mm_s = 10.0\n\
              [simulation]\nseed = 6\nprofile = \"tiny\"\n",
-            terminal.path()
+            terminal.path(),
+            EXPOSURE as f64 / 1000.0
         );
         std::fs::write(folder.path().join("rig.toml"), text).expect("a file");
         Some(Self {
@@ -200,8 +205,10 @@ fn the_commands_drive_the_real_binary() {
     let session = cannula::session::Session::open(Path::new(&out)).expect("a recording");
     let frames = session.manifest.scan.expect("a scan").frames;
     let planned: Vec<Option<i64>> = (0..12).map(|k| Some(1_600 + 400 * k)).collect();
+    // Recorded is where the sheet stood in the middle of the exposure.
     let noted: Vec<Option<i64>> = frames.iter().map(|f| f.slide_steps).collect();
-    assert_eq!(noted, planned);
+    let middle: Vec<Option<i64>> = planned.iter().map(|p| p.map(|p| p + MIDDLE)).collect();
+    assert_eq!(noted, middle);
     // Some at rest (for the clocks, the ambient image), then the sweep: pin, ledger and recording
     // agree on where and when each of its triggers fired.
     let fired = ran.edges.rising(pin::TRIGGER);
@@ -214,6 +221,13 @@ fn the_commands_drive_the_real_binary() {
     };
     let truly: Vec<Option<i64>> = sweep.iter().map(|&cycle| at(cycle)).collect();
     assert_eq!(truly, planned);
+    for (&cycle, noted) in sweep.iter().zip(&noted) {
+        let stood = at(cycle + EXPOSURE / 2 * emulator::PER_MICRO).zip(*noted);
+        assert!(
+            stood.is_some_and(|(stood, noted)| (stood - noted).abs() <= 1),
+            "{stood:?}"
+        );
+    }
     for (frame, &cycle) in frames.iter().zip(sweep) {
         let time = frame.trigger_us.expect("a time") as i64;
         let late = time - (cycle / emulator::PER_MICRO) as i64;
