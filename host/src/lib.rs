@@ -37,3 +37,15 @@ pub mod stripe;
 #[cfg(test)]
 mod synthetic;
 pub mod uf2;
+
+/// Program, version and the commit that it is built from: in every file that it writes.
+pub const PROGRAM: &str = concat!(
+    "cannula ",
+    env!("CARGO_PKG_VERSION"),
+    " (",
+    env!("CANNULA_COMMIT"),
+    ")"
+);
+
+/// The same without the program's name.
+pub const VERSION: &str = PROGRAM.split_at("cannula ".len()).1;

@@ -220,6 +220,104 @@ fn a_calibration_file_carries_its_views() {
     assert!((a - b).norm() < 1e-9);
 }
 
+/// The result names what it was made from and by, so that it can be made again: digests that stand
+/// against the files themselves, the commit, and everything that decided the angle.
+#[test]
+fn provenance_tells_recording_calibration_commit_and_what_decided_the_angle() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let folder = committed("tiny-1001");
+    let session = folder.display().to_string();
+    assert_eq!(run(&["process", &session, "--out", &path("out")]), 0);
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap()
+    };
+    // The digest as the documentation describes it, from the files alone.
+    let m = Session::open(&folder).unwrap().manifest;
+    let digest = |images: Vec<&str>| {
+        let mut told = std::fs::read(folder.join("session.json")).unwrap();
+        for name in &images {
+            let bytes = std::fs::read(folder.join(name)).unwrap();
+            let line = format!("{name}\t{}\t{:08x}\n", bytes.len(), crc32(&bytes));
+            told.extend(line.into_bytes());
+        }
+        let file = dir.path().join("told");
+        std::fs::write(&file, told).unwrap();
+        let sha256 = cannula::session::sha256_of(&file).unwrap();
+        serde_json::json!({ "sha256": sha256, "images": images.len() })
+    };
+    let all = digest(m.images().collect());
+    let provenance = &json("out/result.json")["provenance"];
+    assert_eq!(provenance["recording"], all);
+    let made = json("out/calibration.json");
+    assert_eq!(
+        made["provenance"]["recording"],
+        digest(m.board_images().collect())
+    );
+    let program = provenance["program"].as_str().unwrap();
+    let (version, commit) = program.split_once(" (").unwrap();
+    assert_eq!(version, concat!("cannula ", env!("CARGO_PKG_VERSION")));
+    let commit = commit.trim_end_matches(')').trim_end_matches("+dirty");
+    let hash = commit.len() == 12 && commit.chars().all(|c| c.is_ascii_hexdigit());
+    assert!(commit == "unknown" || hash, "{program}");
+
+    // With a calibration's file: the scan's images alone, and the file's own digest.
+    let given = path("out/calibration.json");
+    let words = [
+        "angle",
+        &session,
+        "--calibration",
+        &given,
+        "--out",
+        &path("angle"),
+    ];
+    assert_eq!(run(&words), 0);
+    let measured = &json("angle/result.json")["provenance"];
+    assert_eq!(measured["recording"], digest(m.scan_images().collect()));
+    let own = cannula::session::sha256_of(Path::new(&given)).unwrap();
+    assert_eq!(measured["calibration"]["sha256"], own.as_str());
+
+    // What decided the angle, in the file and on the page, which also lists each stage's constants.
+    let setup = serde_json::to_value(cannula::puncture::Setup::default()).unwrap();
+    assert_eq!(provenance["puncture"]["setup"], setup);
+    assert_eq!(
+        provenance["puncture"]["clinical_deg"],
+        serde_json::json!([15.0, 30.0])
+    );
+    let page = std::fs::read_to_string(path("out/report.html")).unwrap();
+    let settings = page.split("Settings and thresholds").nth(1).unwrap();
+    let row = |name: &str, value: &str| {
+        let cell = format!(">{name}</td>");
+        let after = settings.split(&cell).nth(1);
+        let value = format!(">{value}</td>");
+        assert!(
+            after.is_some_and(|a| a.split("</tr>").next().unwrap().contains(&value)),
+            "{name}"
+        );
+    };
+    row("recording: sha256", all["sha256"].as_str().unwrap());
+    row("puncture: setup: friction", "0.7");
+    row("puncture: setup: layers: skin mm", "1.0");
+    row("puncture: setup: skin: law: c10", "0.5");
+    row("puncture: setup: needle: diameter mm", "0.72");
+    row("puncture: model", "fast model");
+    row("puncture: advance mm", "5.0");
+    row("puncture: clinical deg", "15.0, 30.0");
+    let stages = cannula::stripe::limits().into_iter();
+    for (name, value) in stages.chain(cannula::stripe::hand::limits()) {
+        row(name, &value);
+    }
+}
+
+/// CRC-32 (ISO 3309), bit by bit.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, byte: &u8| {
+        let shift = |c: u32, _| (c >> 1) ^ (0xEDB8_8320 * (c & 1));
+        (0..8).fold(crc ^ u32::from(*byte), shift)
+    };
+    !bytes.iter().fold(!0, step)
+}
+
 /// Every chart, as one whole SVG and as a PNG of the size that was asked for.
 #[test]
 fn charts_come_as_asked() {

@@ -8,15 +8,19 @@
 
 use crate::geometry::{Camera, Matrix3, Plane, Point3, Vector2, Vector3};
 use nalgebra::{Cholesky, RowVector3};
+use serde::Serialize;
 
 /// How to minimise.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// ε, px².
+    #[serde(rename = "guard ε / px²")]
     pub guard_px2: f64,
     /// Most sweeps over all points.
+    #[serde(rename = "most sweeps")]
     pub sweeps: usize,
     /// A sweep that moves no point by more ends the minimisation, mm.
+    #[serde(rename = "ends when no point moves by more / mm")]
     pub tolerance_mm: f64,
 }
 

@@ -28,12 +28,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let method = args.method.into();
     let page = page_beside(&args.out);
     let report = |file: &CalibrationFile, refused: Vec<String>| -> anyhow::Result<()> {
+        let mut settings = report::calibration_settings(method);
+        let made = file.provenance.as_ref().and_then(|p| p.recording.as_ref());
+        settings.extend(made.iter().flat_map(|r| report::under("recording", r)));
         let sources = report::Sources {
             session: &session,
             calibration: file,
             outcome: report::Outcome::Calibrated(refused),
             angle_source: "",
-            settings: report::calibration_settings(method),
+            settings,
             puncture: None,
             truth: Vec::new(),
             times: &times,

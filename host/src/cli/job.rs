@@ -11,7 +11,7 @@ use crate::pipeline::{Measurement, Method, PipelineError, Stage, Times, measure}
 use crate::progress::Progress;
 use crate::report;
 use crate::rig::config::CameraKind;
-use crate::session::Session;
+use crate::session::{Session, SessionError};
 use clap::ValueEnum;
 use std::path::Path;
 use std::time::Instant;
@@ -229,11 +229,25 @@ impl Job<'_> {
         self.times.time(Stage::Write, || {
             write_cloud(self.folder, &measured.cloud, self.args)
         })?;
-        result.provenance = Some(self.provenance.clone());
+        result.provenance = Some(self.measured_with()?);
         result.seconds = seconds(self.times, self.begun);
         // The result last: where it stands, all else stands.
         write_json(&self.folder.join("result.json"), &result)?;
         Ok(result)
+    }
+
+    /// What it is measured with, the recording told by its digest: the scan's images, and the
+    /// board's where the calibration was made in the same run.
+    fn measured_with(&self) -> Result<ScanProvenance, SessionError> {
+        let manifest = &self.session.manifest;
+        let recording = match self.provenance.calibration {
+            None => self.session.digest(manifest.images())?,
+            Some(_) => self.session.digest(manifest.scan_images())?,
+        };
+        Ok(ScanProvenance {
+            recording: Some(recording),
+            ..self.provenance.clone()
+        })
     }
 
     /// Writes report.html of a measured hand.
@@ -316,7 +330,7 @@ impl Job<'_> {
     ) -> anyhow::Result<()> {
         let (settings, source) = self.args.settings();
         let mut rows = report::settings(self.method, &settings);
-        let measured_with = report::leaves(&self.provenance).into_iter();
+        let measured_with = report::leaves(&self.measured_with()?).into_iter();
         rows.extend(
             measured_with.filter(|(name, _)| !["program", "time"].contains(&name.as_str())),
         );
@@ -341,9 +355,8 @@ fn write_cloud(
     args: &NeedleArgs,
 ) -> Result<(), OutputError> {
     use crate::cloud::{write_csv, write_ply, write_xyz};
-    let comment = format!("cannula {}", env!("CARGO_PKG_VERSION"));
     write_whole(&folder.join("cloud.ply"), |w| {
-        write_ply(w, points, &comment)
+        write_ply(w, points, crate::PROGRAM)
     })?;
     if args.xyz {
         write_whole(&folder.join("cloud.xyz"), |w| write_xyz(w, points))?;

@@ -34,7 +34,7 @@ use std::ffi::OsString;
 
 /// Laser-line scanner and needle-angle decision for venipuncture-robot research.
 #[derive(Parser, Debug)]
-#[command(name = "cannula", version, propagate_version = true)]
+#[command(name = "cannula", version = crate::VERSION, propagate_version = true)]
 struct Cli {
     #[command(flatten)]
     global: output::Options,

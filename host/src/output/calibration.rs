@@ -4,7 +4,7 @@ use super::{OutputError, three};
 use crate::calibration::{Covariance, LightModel, PARAMETERS, RigModel};
 use crate::geometry::{Camera, Distortion, Pose, Vector3};
 use crate::pipeline::Calibrated;
-use crate::session::Session;
+use crate::session::{RecordingDigest, Session};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -46,6 +46,9 @@ pub struct Provenance {
     pub program: String,
     /// The recording.
     pub session: String,
+    /// Its session.json and the board's images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingDigest>,
     /// When, ISO 8601 in UTC.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<String>,
@@ -267,8 +270,9 @@ impl CalibrationFile {
             }),
             warnings: calibrated.warnings.clone(),
             provenance: Some(Provenance {
-                program: concat!("cannula ", env!("CARGO_PKG_VERSION")).to_owned(),
+                program: crate::PROGRAM.to_owned(),
                 session: session.folder().display().to_string(),
+                recording: session.digest(session.manifest.board_images()).ok(),
                 time: Some(super::seconds(jiff::Timestamp::now())),
                 recorded: session.manifest.recorded.board.clone(),
             }),

@@ -4,7 +4,9 @@ use super::{CalibrationFile, rows, three};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::needle::Decision;
 use crate::pipeline::Measurement;
+use crate::puncture::{Basis, default_decision};
 use crate::rig::config::Rig;
+use crate::session::{RecordingDigest, sha256_of};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -66,12 +68,17 @@ pub struct ScanProvenance {
     pub program: &'static str,
     /// When, ISO 8601 in UTC.
     pub time: String,
+    /// session.json and the images that took part.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingDigest>,
     /// The calibration, if it came from a file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationSource>,
     /// The rig's configuration as it was used: port, speeds, exposures, trigger, positions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rig: Option<Rig>,
+    /// What the wanted angle was compared by.
+    pub puncture: Basis,
 }
 
 /// Which calibration.
@@ -82,22 +89,35 @@ pub struct CalibrationSource {
     /// When it was made, ISO 8601 in UTC, if it says so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time: Option<String>,
+    /// Its file's SHA-256, in hexadecimal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
 }
 
 impl ScanProvenance {
-    /// Of a scan that stands now.
+    /// Of a scan that stands now; the recording's digest comes with its images.
     pub fn now(
         calibration: Option<(&std::path::Path, &CalibrationFile)>,
         rig: Option<&Rig>,
     ) -> Self {
+        let decision = default_decision();
+        let compared: Vec<f64> = decision.rows.iter().map(|r| r.angle_deg).collect();
         Self {
-            program: concat!("cannula ", env!("CARGO_PKG_VERSION")),
+            program: crate::PROGRAM,
+            recording: None,
             time: super::seconds(jiff::Timestamp::now()),
             calibration: calibration.map(|(file, made)| CalibrationSource {
                 file: file.to_owned(),
                 time: made.provenance.as_ref().and_then(|p| p.time.clone()),
+                sha256: sha256_of(file).ok(),
             }),
             rig: rig.cloned(),
+            puncture: Basis::new(
+                &crate::puncture::Setup::default(),
+                &compared,
+                decision.criterion,
+                false,
+            ),
         }
     }
 }

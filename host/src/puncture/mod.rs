@@ -11,6 +11,7 @@
 //! Units: mm, N, MPa, s (time inside the solver counts in steps); angles in degrees in what goes to
 //! files and the screen, in radians inside.
 
+pub mod basis;
 pub mod cohesive;
 pub mod contact;
 pub mod decision;
@@ -29,6 +30,7 @@ pub mod pressure;
 pub mod run;
 pub mod tissue;
 
+pub use basis::Basis;
 pub use decision::{Criterion, Decision, decision, default_decision};
 pub use fast::Calibration;
 pub use output::{CurvePoint, PunctureReport};

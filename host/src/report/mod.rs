@@ -13,7 +13,7 @@ mod write;
 pub use model::{Puncture, Report, TruthRow};
 pub use sources::{
     calibration as calibration_section, calibration_settings, decided, leaves, puncture_folder,
-    punctured, settings, stripe_middle, stripe_sample, with_reference,
+    punctured, settings, stripe_middle, stripe_sample, under, with_reference,
 };
 pub use write::{Outcome, ReportError, Sources, assemble, of_puncture, write};
 

@@ -47,7 +47,8 @@ pub struct Header {
 
 const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-fn read(path: &Path) -> Result<Vec<u8>, SessionError> {
+/// The bytes of an image's file.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, SessionError> {
     // A pipe or a device would block or never end.
     match std::fs::metadata(path) {
         Ok(m) if m.is_file() => {}

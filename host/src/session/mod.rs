@@ -5,12 +5,14 @@
 //! caller has, so that memory stays bounded by the number of threads.
 
 mod check;
+mod digest;
 mod error;
 mod load;
 mod model;
 mod write;
 
 pub use check::{check, parse};
+pub use digest::{RecordingDigest, sha256_of};
 pub use error::SessionError;
 pub use load::{Depth, Header, Raw, decode, decode_bytes, header};
 pub use model::{
@@ -31,6 +33,9 @@ pub struct Session {
     pub manifest: Manifest,
     /// One depth for all images.
     pub depth: Depth,
+    /// session.json as it stands.
+    said: std::sync::Arc<[u8]>,
+    seen: digest::Seen,
 }
 
 impl Session {
@@ -58,6 +63,8 @@ impl Session {
             root,
             manifest,
             depth: Depth::Eight,
+            said: text.into(),
+            seen: digest::Seen::default(),
         };
         session.check_images()?;
         Ok(session)
@@ -130,7 +137,9 @@ impl Session {
 
     fn decode(&self, name: &str) -> Result<(Raw, PathBuf), SessionError> {
         let path = self.path(name);
-        let raw = load::decode(&path)?;
+        let bytes = load::read(&path)?;
+        self.seen.note(name, &bytes);
+        let raw = load::decode_bytes(&bytes, &path)?;
         self.check_size(&path, raw.width, raw.height)?;
         Ok((raw, path))
     }

@@ -177,6 +177,11 @@ impl Manifest {
 
     /// Every image that is named, in the order of the file.
     pub fn images(&self) -> impl Iterator<Item = &str> {
+        self.board_images().chain(self.scan_images())
+    }
+
+    /// Those of the board.
+    pub fn board_images(&self) -> impl Iterator<Item = &str> {
         self.camera
             .iter()
             .map(|c| c.image.as_str())
@@ -186,12 +191,16 @@ impl Manifest {
                     .into_iter()
                     .chain(l.on.iter().map(|f| f.image.as_str()))
             }))
-            .chain(self.scan.iter().flat_map(|s| {
-                s.ambient
-                    .as_deref()
-                    .into_iter()
-                    .chain(s.frames.iter().map(|f| f.image.as_str()))
-            }))
+    }
+
+    /// Those of the scan.
+    pub fn scan_images(&self) -> impl Iterator<Item = &str> {
+        self.scan.iter().flat_map(|s| {
+            s.ambient
+                .as_deref()
+                .into_iter()
+                .chain(s.frames.iter().map(|f| f.image.as_str()))
+        })
     }
 }
 

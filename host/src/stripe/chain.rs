@@ -48,6 +48,20 @@ pub(super) fn noise_in<P: Pixel>(on: &Image<P>, off: Option<&Image<P>>, region: 
 /// profile. (Renderings with grains of 1.2 and 1.6 px have 1.4 to 1.6.)
 const PIXEL: f32 = 1.5;
 
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "stripe, profiles: width fitted in every so many columns",
+            STRIDE.to_string(),
+        ),
+        (
+            "stripe, profiles: speckle of a pixel over that of a peak",
+            PIXEL.to_string(),
+        ),
+    ]
+}
+
 /// Fits every column of a chain.
 pub(super) fn fit<P: Pixel>(
     on: &Image<P>,

@@ -456,6 +456,14 @@ pub fn limits() -> Vec<(&'static str, String)> {
         ),
         ("hand stripe: columns left out at each end", END.to_string()),
         (
+            "hand stripe: a chain is surely background below, of the main one’s response",
+            format!("{:.0} %", f64::from(100.0 * FAINT)),
+        ),
+        (
+            "hand stripe: columns on either side that vote on a jump",
+            SIDE.to_string(),
+        ),
+        (
             "hand stripe: background below, of the hand’s brightness",
             format!("{:.0} %", f64::from(100.0 * DIM)),
         ),

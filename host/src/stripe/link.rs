@@ -6,6 +6,14 @@ use super::search::{Candidate, Candidates};
 /// has points: what stands alone is noise as a rule.
 const GAP: usize = 8;
 
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![(
+        "stripe, chains: columns that may be missing in a row",
+        GAP.to_string(),
+    )]
+}
+
 /// A run of candidates along the stripe, in ascending columns.
 #[derive(Clone, Debug)]
 pub(super) struct Chain {

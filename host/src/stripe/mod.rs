@@ -16,6 +16,19 @@ pub mod paper;
 use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
 
+/// What search, chains, profiles, smoothing and outline decide by, for the report: name and value.
+pub fn limits() -> Vec<(&'static str, String)> {
+    [
+        search::limits(),
+        link::limits(),
+        chain::limits(),
+        profile::limits(),
+        smooth::limits(),
+        outline::limits(),
+    ]
+    .concat()
+}
+
 /// One point on the centre of the laser's stripe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StripePoint {

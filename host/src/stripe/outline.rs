@@ -5,6 +5,14 @@ use crate::geometry::{Homography, Vector2};
 /// Fraction of a square left out along the outline: its rim may lie on a bright margin or beyond the board.
 const RIM: f64 = 0.06;
 
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![(
+        "board stripe: left out along the board’s outline",
+        format!("{RIM} of a square"),
+    )]
+}
+
 /// The quadrilateral of all squares (one beyond the outer inner corners on each side).
 #[derive(Clone, Debug)]
 pub(super) struct Outline {

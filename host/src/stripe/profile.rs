@@ -26,6 +26,24 @@ const ENOUGH: f32 = 3e-3;
 /// ... and so is one of this part of its own standard deviation.
 const NOTHING: f32 = 0.05;
 
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "stripe, profiles: largest half height of a window",
+            format!("{MAX_HALF} rows"),
+        ),
+        (
+            "stripe, profiles: rows on either side for the background",
+            OUTER.to_string(),
+        ),
+        (
+            "stripe, profiles: the last step is below",
+            format!("{ENOUGH} px or {NOTHING} σ"),
+        ),
+    ]
+}
+
 type Lane = [f32; LANES];
 
 /// How the pixels scatter, and what the stripe's width is about.

@@ -22,6 +22,29 @@ const SURROUND: usize = 7;
 /// Rows at the top and bottom without a response.
 pub(super) const MARGIN: usize = HALF + SURROUND;
 
+/// A response that counts is at least so many times the noise's (a fraction) ...
+const OVER_NOISE: (u16, u16) = (5, 2);
+/// ... and at least this.
+const LEAST_RESPONSE: u16 = 6;
+
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "stripe, search: rows summed, rows to their surround",
+            format!("{}, {SURROUND}", 2 * HALF + 1),
+        ),
+        (
+            "stripe, search: one candidate in a band of",
+            format!("{BAND} rows"),
+        ),
+        (
+            "stripe, search: least response over the noise, and at all",
+            format!("{}/{} ×, {LEAST_RESPONSE}", OVER_NOISE.0, OVER_NOISE.1),
+        ),
+    ]
+}
+
 /// A part of an image, end exclusive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Region {
@@ -190,7 +213,7 @@ fn collect(best: &[u16], row: &[u16], width: usize, bands: usize, region: &Regio
             break;
         }
     }
-    let threshold = (noise.saturating_mul(5) / 2).max(6);
+    let threshold = (noise.saturating_mul(OVER_NOISE.0) / OVER_NOISE.1).max(LEAST_RESPONSE);
 
     let mut first = vec![0_u32; width + 1];
     let mut hits = Vec::with_capacity(4 * width);

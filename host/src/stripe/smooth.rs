@@ -118,6 +118,28 @@ const SCATTER: f64 = 1.15;
 /// Sizes of grains that are tried.
 const GRAINS: usize = 17;
 
+/// What is decided by here, for the report: name and value.
+pub(super) fn limits() -> Vec<(&'static str, String)> {
+    vec![
+        (
+            "stripe, smoothing: half widths tried, columns",
+            HALVES.map(|h| h.to_string()).join(", "),
+        ),
+        (
+            "stripe, smoothing: columns on either side that the risk is averaged over",
+            NEIGHBOURS.to_string(),
+        ),
+        (
+            "stripe, smoothing: lags of the correlation, sizes of grains tried",
+            format!("{LAGS}, {GRAINS}"),
+        ),
+        (
+            "stripe, smoothing: chance scatter allowed between lags",
+            format!("factor {SCATTER}"),
+        ),
+    ]
+}
+
 /// The weights of a local quadratic fit's value at one of the window's columns.
 struct Kernel {
     weights: Vec<f64>,

@@ -20,7 +20,7 @@ use crate::pipeline::{Method, Times};
 /// What is known of every run.
 pub fn provenance(session: &str, settings: Vec<(String, String)>, times: &Times) -> Provenance {
     Provenance {
-        program: format!("cannula {}", env!("CARGO_PKG_VERSION")),
+        program: crate::PROGRAM.to_owned(),
         command: std::env::args().collect::<Vec<_>>().join(" "),
         time: crate::output::moment(jiff::Timestamp::now()),
         session: session.to_owned(),
@@ -102,8 +102,9 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
         ]);
         rows.extend(named(crate::stripe::hand::limits()));
     } else {
-        let debug = format!("{:?}", crate::stripe::paper::hand::Settings::default());
-        rows.push(("hand stripe, the paper’s way".to_owned(), debug));
+        let hand = crate::stripe::paper::hand::Settings::default();
+        rows.extend(under("hand stripe, the paper’s way", &hand));
+        rows.extend(named(crate::stripe::paper::hand::limits()));
     }
     rows.extend(calibration_settings(method).into_iter().skip(1));
     rows
@@ -130,20 +131,15 @@ pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
     let stages = crate::board::limits()
         .into_iter()
         .chain(crate::stripe::board::limits())
+        .chain(crate::stripe::limits())
         .chain(crate::calibration::camera::limits())
         .chain(crate::calibration::light::limits());
     let mut rows: Vec<_> = named(own).chain(named(stages)).collect();
     if method == Method::Paper {
         let board = crate::stripe::paper::board::Settings::default();
         let loss = crate::calibration::loss::Settings::default();
-        rows.push((
-            "board stripe, the paper’s way".to_owned(),
-            format!("{board:?}"),
-        ));
-        rows.push((
-            "Eq. 7 and 11, the paper’s way".to_owned(),
-            format!("{loss:?}"),
-        ));
+        rows.extend(under("board stripe, the paper’s way", &board));
+        rows.extend(under("Eq. 7 and 11, the paper’s way", &loss));
     }
     rows
 }
@@ -154,6 +150,13 @@ fn named(
 ) -> impl Iterator<Item = (String, String)> {
     rows.into_iter()
         .map(|(name, value)| (name.to_owned(), value))
+}
+
+/// The same with a word before each path.
+pub fn under(name: &str, value: &impl serde::Serialize) -> Vec<(String, String)> {
+    let rows = leaves(value).into_iter();
+    rows.map(|(path, value)| (format!("{name}: {path}"), value))
+        .collect()
 }
 
 /// The leaves of anything that can be written as JSON, with the path to each.
@@ -169,6 +172,10 @@ pub fn leaves(value: &impl serde::Serialize) -> Vec<(String, String)> {
         };
         match value {
             Value::Object(map) => map.iter().for_each(|(k, v)| walk(&under(k), v, rows)),
+            Value::Array(list) if list.iter().all(Value::is_number) => {
+                let numbers: Vec<String> = list.iter().map(Value::to_string).collect();
+                rows.push((path.to_owned(), numbers.join(", ")));
+            }
             Value::Array(list) => list
                 .iter()
                 .enumerate()

@@ -15,17 +15,22 @@ use imageproc::geometric_transformations::{Border, Interpolation, warp_into_with
 use imageproc::geometry::min_area_rect;
 use imageproc::point::Point;
 use imageproc::region_labelling::{Connectivity, connected_components};
+use serde::Serialize;
 
 /// Thresholds of the paper's extraction; the defaults are the paper's where it gives them.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Grey levels by which a square must brighten (paper: 30).
+    #[serde(rename = "least brightening of a square / grey levels")]
     pub difference: u8,
     /// Largest height-to-width ratio of a contour's smallest rectangle (paper: 0.25).
+    #[serde(rename = "largest height to width of a contour")]
     pub ratio: f64,
     /// Largest deviation of the slope between two squares from the median slope, rad.
+    #[serde(rename = "largest deviation of a slope / rad")]
     pub slope: f64,
     /// Share of a square's skeleton that is sliced off at each end.
+    #[serde(rename = "share sliced off at each end")]
     pub slice: f64,
 }
 

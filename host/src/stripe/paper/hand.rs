@@ -11,6 +11,7 @@ use imageproc::definitions::Image as Raster;
 use imageproc::distance_transform::Norm;
 use imageproc::morphology::close;
 use imageproc::region_labelling::{Connectivity, connected_components};
+use serde::Serialize;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,11 +27,12 @@ pub struct Region {
 }
 
 /// What the paper leaves open, with the values taken here.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Exponent of the gamma transformation; above 1 it darkens all but the stripe.
     pub gamma: f64,
     /// Radius of the closing, px.
+    #[serde(rename = "radius of the closing / px")]
     pub closing: u8,
 }
 
@@ -76,6 +78,14 @@ pub fn region<P: Pixel>(image: &Image<P>) -> Region {
 
 /// A stripe fills less of the hand's region than this.
 const LARGEST: f64 = 0.1;
+
+/// What else is decided by, for the report: name and value.
+pub fn limits() -> Vec<(&'static str, String)> {
+    vec![(
+        "hand stripe, the paper’s way: a stripe fills less of the hand’s region than",
+        format!("{:.0} %", 100.0 * LARGEST),
+    )]
+}
 
 /// The stripe's skeleton inside the region, in the image's pixels. The variance is that of thinning
 /// (0.4 px RMS), the same for all: the method knows no better.
