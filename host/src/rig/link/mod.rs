@@ -18,6 +18,8 @@ use cannula_shared::hello::Identity;
 
 pub use board::{Board, Homed};
 pub use error::LinkError;
+#[cfg(unix)]
+pub(crate) use pipe::open_terminal;
 pub use pipe::{Pipe, PortDescription, SerialPipe, ports};
 pub use scan::{Scan, ScanEvent};
 pub use session::{Counts, Session};
