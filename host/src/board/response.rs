@@ -45,6 +45,9 @@ const BAND: usize = 16;
 /// Rows around a pixel that must not exceed it.
 const SIDE: usize = 2;
 
+/// Pixels of a row looked at together: most have no maximum among them.
+const BLOCK: usize = 32;
+
 /// The response of row `y` at every pixel that has a whole ring; 0 elsewhere.
 #[inline(always)]
 fn row(level: &Level, y: usize, out: &mut [i16]) {
@@ -94,10 +97,12 @@ fn row_response(ring: &[&[i16]; 16], near: &[&[i16]; 4], out: &mut [i16]) {
 }
 
 /// Local maxima (5 × 5) of the response above `threshold`, the strongest `limit` of them.
+///
+/// None where the level is narrower than a block with its surroundings.
 pub(super) fn peaks(level: &Level, threshold: i16, limit: usize) -> Vec<Peak> {
     let (w, h) = (level.width, level.height);
     let mut found = Vec::new();
-    if w <= 2 * RADIUS || h <= 2 * RADIUS {
+    if w < BLOCK + 2 * SIDE || h <= 2 * RADIUS {
         return found;
     }
     let mut held = vec![0i16; (BAND + 2 * SIDE) * w];
@@ -114,17 +119,30 @@ pub(super) fn peaks(level: &Level, threshold: i16, limit: usize) -> Vec<Peak> {
                 }
             },
         );
-        for y in 0..BAND.min(h - RADIUS - first) {
-            let row = &held[(y + SIDE) * w..(y + SIDE + 1) * w];
-            for (block, start) in row.chunks(32).zip((0..w).step_by(32)) {
+        for y in SIDE..SIDE + BAND.min(h - RADIUS - first) {
+            let row = &held[y * w..(y + 1) * w];
+            for (block, start) in row.chunks(BLOCK).zip((0..w).step_by(BLOCK)) {
                 if block.iter().fold(i16::MIN, |m, &r| m.max(r)) <= threshold {
                     continue;
                 }
-                for (i, &r) in block.iter().enumerate() {
-                    if r > threshold && is_maximum(&held, w, start + i, y + SIDE) {
-                        let mut peak = refine(&held, w, start + i, y + SIDE);
-                        peak.y += (first - SIDE) as f32;
-                        found.push(peak);
+                // The ring's margin holds no response: the last block may begin earlier.
+                let from = start.clamp(SIDE, w - SIDE - BLOCK);
+                let mut marks = [false; BLOCK];
+                crate::simd::widest(
+                    #[inline(always)]
+                    || marks = maxima(&held, w, from, y, threshold),
+                );
+                let (eights, _) = marks.as_chunks::<8>();
+                for (eight, from) in eights.iter().zip((from..).step_by(8)) {
+                    if *eight == [false; 8] {
+                        continue;
+                    }
+                    for (x, mark) in (from..).zip(eight) {
+                        if *mark && x >= start && is_first(&held, w, x, y) {
+                            let mut peak = refine(&held, w, x, y);
+                            peak.y += (first - SIDE) as f32;
+                            found.push(peak);
+                        }
                     }
                 }
             }
@@ -137,19 +155,38 @@ pub(super) fn peaks(level: &Level, threshold: i16, limit: usize) -> Vec<Peak> {
     found
 }
 
-/// Of equal neighbours the first counts. The ring's margin keeps the window inside.
-#[inline]
-fn is_maximum(response: &[i16], w: usize, x: usize, y: usize) -> bool {
-    let r = response[y * w + x];
-    for dy in 0..5 {
-        let start = (y + dy - 2) * w + x - 2;
-        for (dx, &other) in response[start..start + 5].iter().enumerate() {
-            if other > r || (other == r && (dy, dx) < (2, 2)) {
-                return false;
+/// Which pixels of row `y` from column `from` exceed `threshold` and are exceeded by none of the
+/// 5 × 5 around.
+#[inline(always)]
+fn maxima(held: &[i16], w: usize, from: usize, y: usize, threshold: i16) -> [bool; BLOCK] {
+    let mut most = [threshold + 1; BLOCK];
+    for v in y - SIDE..=y + SIDE {
+        for u in from - SIDE..=from + SIDE {
+            for (m, &r) in most.iter_mut().zip(&held[v * w + u..][..BLOCK]) {
+                *m = (*m).max(r);
             }
         }
     }
-    true
+    let mut marks = [false; BLOCK];
+    for ((mark, &r), &most) in marks
+        .iter_mut()
+        .zip(&held[y * w + from..][..BLOCK])
+        .zip(&most)
+    {
+        *mark = r >= most;
+    }
+    marks
+}
+
+/// Of equal neighbours the first counts.
+fn is_first(response: &[i16], w: usize, x: usize, y: usize) -> bool {
+    let r = response[y * w + x];
+    (y - SIDE..=y).all(|v| {
+        let until = if v < y { x + SIDE + 1 } else { x };
+        response[v * w + x - SIDE..v * w + until]
+            .iter()
+            .all(|&other| other < r)
+    })
 }
 
 fn refine(response: &[i16], w: usize, x: usize, y: usize) -> Peak {
