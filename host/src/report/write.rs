@@ -118,6 +118,11 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         Outcome::Calibrated(refused) if !refused.is_empty() => "No calibration",
         _ => "",
     };
+    let ambient = match alone {
+        true => None,
+        false => sources::ambient(s.session, s.times)?,
+    };
+    let ambient = ambient.as_ref();
     Ok(Report {
         title: title(&s),
         headline: headline.to_owned(),
@@ -125,7 +130,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         needle: measured.map(|m| sources::needle(m, s.angle_source, robot)),
         picture: match alone {
             true => None,
-            false => sources::picture(s.session, &s.outcome, &camera)?,
+            false => sources::picture(s.session, ambient, &s.outcome, &camera, s.times)?,
         },
         scene: measured.map(sources::scene).or_else(|| {
             let scanned = s.outcome.scanned()?;
@@ -137,7 +142,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         }),
         stripes: match alone {
             true => Vec::new(),
-            false => sources::stripes(s.session, measured)?,
+            false => sources::stripes(s.session, ambient, measured, s.times)?,
         },
         puncture: s.puncture,
         truth: s.truth,

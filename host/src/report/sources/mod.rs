@@ -9,7 +9,7 @@ mod puncture;
 pub use calibration::{calibration, checked};
 pub use decision::{decided, punctured, with_reference};
 pub use measurement::{needle, scene, scene_refused, verdict};
-pub use picture::{picture, stripe_middle, stripe_sample, stripes};
+pub use picture::{ambient, picture, stripe_middle, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
 use super::model::Provenance;

@@ -4,11 +4,12 @@
 use super::measurement::{at_cloud, circle};
 use crate::geometry::{Camera, Point3};
 use crate::image::Image;
-use crate::pipeline::Measurement;
+use crate::pipeline::{Measurement, Stage, Times};
 use crate::report::model::{Gray, Picture, StripeSample};
 use crate::report::write::Outcome;
 use crate::session::{Session, SessionError};
 use crate::stripe::hand::{self, HandSettings, Surface};
+use rayon::prelude::*;
 
 /// Columns and rows of a stripe's piece: few enough that single pixels are seen.
 const PIECE: (usize, usize) = (64, 32);
@@ -27,24 +28,44 @@ fn read(session: &Session, name: &str) -> Result<Image<u8>, SessionError> {
     }
 }
 
+/// The scan's image without the laser, where there is one.
+///
+/// # Errors
+/// An image that can't be read.
+pub fn ambient(session: &Session, times: &Times) -> Result<Option<Image<u8>>, SessionError> {
+    let name = session
+        .manifest
+        .scan
+        .as_ref()
+        .and_then(|s| s.ambient.as_ref());
+    name.map(|name| times.time(Stage::Read, || read(session, name)))
+        .transpose()
+}
+
 /// Most measured points drawn on the hand.
 const MOST_POINTS: usize = 4000;
 
-/// The hand (ambient image, or the middle frame), with entry, vein, and, where it was measured,
+/// The hand (`ambient`, or the middle frame), with entry, vein, and, where it was measured,
 /// region and needle; where no angle is given, the measured points and the region asked for.
 pub fn picture(
     session: &Session,
+    ambient: Option<&Image<u8>>,
     outcome: &Outcome,
     camera: &Camera,
+    times: &Times,
 ) -> Result<Option<Picture>, SessionError> {
     let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
         return Ok(None);
     };
-    let middle = scan.frames.get(scan.frames.len() / 2).map(|f| &f.image);
-    let Some(name) = scan.ambient.as_ref().or(middle) else {
-        return Ok(None);
+    let middle;
+    let image = match (ambient, scan.frames.get(scan.frames.len() / 2)) {
+        (Some(image), _) => image,
+        (None, Some(frame)) => {
+            middle = times.time(Stage::Read, || read(session, &frame.image))?;
+            &middle
+        }
+        (None, None) => return Ok(None),
     };
-    let image = read(session, name)?;
     let mut drawn = Picture {
         image: Gray::default(),
         entry: entry.pixel,
@@ -71,7 +92,7 @@ pub fn picture(
         let along = |k: i32| path.start + (path.entry - path.start) * (f64::from(k) / 20.0);
         drawn.needle = (0..=20).filter_map(|k| seen(&along(k))).collect();
     }
-    Ok(Some(cut(&image, drawn)))
+    Ok(Some(cut(image, drawn)))
 }
 
 /// The part of the image around all that is drawn, 1.4 times the region's width to each side.
@@ -231,16 +252,13 @@ fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
 /// where nothing was measured) and one to either side.
 pub fn stripes(
     session: &Session,
+    ambient: Option<&Image<u8>>,
     measured: Option<&Measurement>,
+    times: &Times,
 ) -> Result<Vec<StripeSample>, SessionError> {
     let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
         return Ok(Vec::new());
     };
-    let ambient = scan
-        .ambient
-        .as_ref()
-        .map(|name| read(session, name))
-        .transpose()?;
     let nearest = measured
         .and_then(|m| {
             m.cloud.iter().min_by(|p, q| {
@@ -252,19 +270,17 @@ pub fn stripes(
     let mut picked = vec![nearest.saturating_sub(5), nearest, nearest + 5];
     picked.retain(|&i| i < scan.frames.len());
     picked.dedup();
-    let mut samples = Vec::new();
-    for frame in picked.into_iter().filter_map(|i| scan.frames.get(i)) {
-        let image = read(session, &frame.image)?;
-        let centres = centres(&image, ambient.as_ref());
-        samples.extend(piece(
-            frame.slide_mm,
-            &frame.image,
-            &image,
-            centres,
-            entry.pixel,
-        ));
-    }
-    Ok(samples)
+    let samples = picked.par_iter().map(|&i| {
+        let Some(frame) = scan.frames.get(i) else {
+            return Ok(None);
+        };
+        let image = times.time(Stage::Read, || read(session, &frame.image))?;
+        let centres = centres(&image, ambient);
+        let (at, name) = (frame.slide_mm, &frame.image);
+        Ok(piece(at, name, &image, centres, entry.pixel))
+    });
+    let samples: Vec<Option<StripeSample>> = samples.collect::<Result<_, SessionError>>()?;
+    Ok(samples.into_iter().flatten().collect())
 }
 
 /// The piece around the stripe's point nearest to `at`.
