@@ -18,6 +18,7 @@
 
 pub mod board;
 pub mod calibration;
+pub mod checks;
 pub mod cli;
 pub mod cloud;
 pub mod doctor;

@@ -112,7 +112,8 @@ fn a_refused_calibration_shows_what_there_is() {
     let aside = std::fs::read_to_string(out.join("cloud-before.ply")).unwrap();
     assert_eq!(aside, "an earlier hand's");
     // The refusal is the first thing that is weak.
-    assert!(weak(&page).contains("squares are") && !weak(&page).contains("Nothing that"));
+    assert!(weak(&page).contains("squares are") && !weak(&page).contains("Nothing"));
+    assert!(page.contains(">refused</td>"));
     for words in ["Reprojection residuals, drawn", "Coverage", "Table 4"] {
         assert!(page.contains(words), "{words}");
     }
@@ -190,6 +191,147 @@ fn a_given_angle_and_a_bare_calibration_are_doubted() {
         assert!(head.contains(word) && weak(&page).contains(word), "{word}");
     }
     assert!(!page.contains("two digits of its standard deviation"));
+}
+
+/// The list of checks is a record: each outcome follows from its own value and limit, the verdict and
+/// the warnings from the list, and the page shows that list and no other.
+#[test]
+fn the_verdict_is_read_off_the_checks_that_were_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = recording(&dir.path().join("good"), |_| ());
+    let out = dir.path().join("out").display().to_string();
+    assert_eq!(
+        run(&["process", &good, "--out", &out, "--needle-angle", "25"]),
+        0
+    );
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(format!("{out}/{name}")).unwrap()).unwrap()
+    };
+    let (result, calibration) = (json("result.json"), json("calibration.json"));
+    let checks = result["checks"].as_array().unwrap();
+    let mut unsound = 0;
+    for c in checks {
+        let value = c["value"].as_f64();
+        let at = |key: &str| c[key].as_f64();
+        let within = match (
+            value,
+            at("at_most"),
+            at("at_least"),
+            c["between"].as_array(),
+        ) {
+            (Some(v), Some(most), None, None) => v <= most,
+            (Some(v), None, Some(least), None) => v >= least,
+            (Some(v), None, None, Some(range)) => {
+                range[0].as_f64().unwrap() <= v && v <= range[1].as_f64().unwrap()
+            }
+            (None, None, None, None) => c["outcome"] == "sound",
+            _ => panic!("{c}"),
+        };
+        assert_eq!(c["outcome"] == "sound", within, "{c}");
+        unsound += usize::from(!within);
+    }
+    let verdict = match unsound {
+        0 => "usable",
+        _ => "usable with caution",
+    };
+    assert_eq!(result["verdict"], verdict);
+    // What the file says elsewhere is what was checked.
+    let value = |what: &str| {
+        let found = checks.iter().find(|c| c["what"] == what);
+        found.unwrap_or_else(|| panic!("{what}"))["value"]
+            .as_f64()
+            .unwrap()
+    };
+    for (what, found) in [
+        ("region: points", &result["plane"]["points"]),
+        ("region: stripes", &result["plane"]["stripes"]),
+        ("needle angle: σ", &result["needle"]["angle_sigma_deg"]),
+        ("entry: σ", &result["entry"]["sigma_mm"]),
+        (
+            "needle angle: change with half the region’s radius",
+            &result["needle"]["angle_systematic_deg"],
+        ),
+        (
+            "calibration: corners off the fitted boards, RMS",
+            &calibration["camera"]["rms_px"],
+        ),
+        (
+            "calibration: light planes as predicted",
+            &calibration["light"]["hold_out_error_mm"],
+        ),
+    ] {
+        assert!(
+            (value(what) - found.as_f64().unwrap()).abs() < 1e-9,
+            "{what}"
+        );
+    }
+    let sigma = calibration["covariance"][0][0].as_f64().unwrap().sqrt();
+    let focal = 100.0 * sigma / calibration["camera"]["fx"].as_f64().unwrap();
+    // Zhang's own, before the light views refine it: of the same size.
+    assert!((value("camera: σ of the focal length") / focal).ln().abs() < 1.0);
+    // The page's rows are these, in order.
+    let page = std::fs::read_to_string(format!("{out}/report.html")).unwrap();
+    let table = page.split("<h2>Checks</h2>").nth(1).unwrap();
+    let table = table.split("</table>").next().unwrap();
+    assert_eq!(table.matches("<tr>").count(), 1 + checks.len());
+    let mut rest = table;
+    for c in checks {
+        let cell = format!(">{}</td>", c["what"].as_str().unwrap());
+        rest = rest.split_once(&cell).unwrap_or_else(|| panic!("{cell}")).1;
+    }
+    // The first line: what was measured, and what is known of the model's error.
+    let needle = &result["needle"];
+    let figure = |key: &str| needle[key].as_f64().unwrap();
+    let change = (figure("angle_at_half_radius_deg") - figure("angle_deg")).abs();
+    assert!((figure("angle_systematic_deg") - change).abs() < 1e-9 && change > 0.0);
+    let line = format!(
+        "25.0°<small> ± {:.2}° measured (1 σ), ± {change:.2}° by the region’s radius",
+        figure("angle_sigma_deg")
+    );
+    assert!(top(&page).0.contains(&line), "{line}: {}", top(&page).0);
+}
+
+/// An angle given by hand is the one that the report is about: a row and a curve of its own, and the
+/// criterion's named as not used.
+#[test]
+fn a_given_angle_has_its_own_row_and_curve() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = recording(&dir.path().join("good"), |_| ());
+    let page = |angle: Option<&str>| {
+        let out = dir.path().join(angle.unwrap_or("none"));
+        let to = out.display().to_string();
+        let mut words = vec!["process", &good, "--out", &to];
+        words.extend(angle.iter().flat_map(|a| ["--needle-angle", a]));
+        assert_eq!(run(&words), 0);
+        std::fs::read_to_string(out.join("report.html")).unwrap()
+    };
+    let section = |page: &str| {
+        let from = page.find("<h2>Puncture</h2>").unwrap();
+        page[from..from + page[from..].find("<h2>Checks</h2>").unwrap()].to_owned()
+    };
+    let rows = |section: &str, with: &str| section.matches(with).count();
+    let given = section(&page(Some("25")));
+    assert!(given.contains("Angle given by hand: <strong>25.0°</strong>"));
+    assert!(given.contains("it would have been 60.0°; that was not used"));
+    assert!(given.contains("Force by layer at 25° (Figure 26)") && given.contains("25° (given)"));
+    assert_eq!(rows(&given, ">given: used</td>"), 1);
+    assert_eq!(rows(&given, ">the criterion’s: not used</td>"), 1);
+    assert_eq!(rows(&given, ">chosen</td>"), 0);
+    assert_eq!(
+        rows(&given, "Force by layer at"),
+        2 * 4,
+        "label and title of each"
+    );
+    // One that was compared too is not shown twice; one beyond the model's range is drawn all the same.
+    let compared = section(&page(Some("45")));
+    assert_eq!(rows(&compared, "Force by layer at"), 2 * 3);
+    assert_eq!(rows(&compared, ">given: used</td>"), 1);
+    let steep = section(&page(Some("85")));
+    assert!(steep.contains("Against it: the given 85° is outside"));
+    assert_eq!(rows(&steep, "Force by layer at 85°"), 2);
+    let none = section(&page(None));
+    assert!(none.contains("Angle by the criterion") && !none.contains("given"));
+    assert_eq!(rows(&none, ">chosen</td>"), 1);
 }
 
 /// The corners and residuals in the file are those of the solve.

@@ -1,5 +1,6 @@
 //! What a calibration gate says: what is lacking, how bad it is, and what to do about it.
 
+use crate::checks::{Check, Limit};
 use std::fmt;
 
 /// How bad a finding is.
@@ -80,6 +81,33 @@ impl Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.sentence(None))
+    }
+}
+
+/// What a gate has looked at and what it has to say.
+#[derive(Debug, Default)]
+pub(super) struct Gate {
+    /// Every check that was made.
+    pub checks: Vec<Check>,
+    /// What is lacking or odd.
+    pub findings: Vec<Finding>,
+}
+
+impl Gate {
+    /// Holds a value against a limit and keeps that; whether it is sound.
+    pub fn holds(&mut self, what: &str, value: f64, limit: Limit, unit: &str) -> bool {
+        self.keep(Check::held(what, value, limit, unit))
+    }
+
+    /// The same of what has no figure.
+    pub fn is(&mut self, what: &str, so: bool) -> bool {
+        self.keep(Check::is(what, so))
+    }
+
+    fn keep(&mut self, check: Check) -> bool {
+        let sound = check.sound();
+        self.checks.push(check);
+        sound
     }
 }
 

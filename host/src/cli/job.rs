@@ -1,10 +1,12 @@
 //! What `calibrate`, `angle` and `process` share: arguments, writing, the summary.
 
 use super::Output;
+use super::puncture::SIMULATED_DEG;
 pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
+use crate::checks::{Check, of};
 use crate::needle;
 use crate::output::{
-    AngleSource, CalibrationFile, OutputError, ResultFile, ScanProvenance, all_doubts, write_json,
+    AngleSource, CalibrationFile, OutputError, ResultFile, ScanProvenance, all_checks, write_json,
     write_whole,
 };
 use crate::pipeline::{Measurement, Method, PipelineError, Stage, Times, measure};
@@ -93,16 +95,31 @@ impl NeedleArgs {
     }
 }
 
-/// What the puncture model says of the angle goes wherever the angle goes, whoever chose it: it may
-/// leave the clinical 15–30° or go through the far wall.
-fn angle_words(source: AngleSource, angle_deg: f64) -> Option<String> {
-    match source {
-        AngleSource::Puncture => Some(crate::puncture::default_decision().sentence),
+/// The checks of the angle. What the puncture model says of it goes wherever the angle goes, whoever
+/// chose it: it may leave the clinical 15–30° or go through the far wall. One sentence says it all.
+fn angle_checks(source: AngleSource, angle_deg: f64) -> Vec<Check> {
+    let setup = crate::puncture::Setup::default();
+    let mut checks = crate::puncture::decision::checks(&setup, angle_deg);
+    let words = match source {
+        AngleSource::Puncture => {
+            let decision = crate::puncture::default_decision();
+            checks.push(Check::is(
+                "needle angle: forces differ by more than the model’s error",
+                decision.preference,
+            ));
+            Some(decision.sentence)
+        }
         AngleSource::CommandLine | AngleSource::Default => {
-            let setup = crate::puncture::Setup::default();
             crate::puncture::decision::against(&setup, angle_deg)
         }
+    };
+    for check in &mut checks {
+        check.words.clear();
     }
+    if let Some(first) = checks.iter_mut().find(|c| !c.sound()) {
+        first.words = words.unwrap_or_default();
+    }
+    checks
 }
 
 /// The parts that measuring needs, named before any image is opened.
@@ -179,10 +196,10 @@ impl Job<'_> {
         Ok((result, measured))
     }
 
-    /// Adds to a measurement's warnings what speaks against the calibration that it was made with
-    /// (its age, how loose it is, what it said itself), what the region's curvature means, and what
-    /// the puncture model says of the angle. What this run has already said (a calibration
-    /// made since it began) is not said again on the terminal.
+    /// Adds to a measurement's checks those of the calibration that it was made with (its age, how
+    /// loose it is, what it said itself), of the region and of the angle, and says what is weak. What
+    /// this run has already said (a calibration made since it began) is not said again on the
+    /// terminal.
     pub fn weigh(&self, m: &mut Measurement) {
         let now = jiff::Timestamp::now();
         let made = self
@@ -196,29 +213,31 @@ impl Job<'_> {
                 now.duration_since(then).as_secs_f64() <= self.begun.elapsed().as_secs_f64() + 1.0
             });
         let scan = self.session.manifest.recorded.scan();
-        for doubt in all_doubts(self.calibration, scan, now, Some(&m.decision.uncertainty)) {
-            let words = doubt.sentence();
-            if !(fresh && doubt.said) {
+        let mut checks = all_checks(self.calibration, scan, now, Some(&m.decision.uncertainty));
+        if let Some(rig) = &self.provenance.rig {
+            let real = rig.camera.kind != CameraKind::Simulated;
+            checks.extend(of(
+                "rig",
+                [Check::is("camera: a real one", real).or(|| {
+                    let words =
+                        "the camera is a simulated one (camera.kind): this hand is rendered";
+                    (words.to_owned(), String::new())
+                })],
+            ));
+        }
+        checks.extend(of("needle", m.decision.checks.iter().cloned()));
+        let (settings, source) = self.args.settings();
+        let given = self.args.needle_angle;
+        let angle = given.unwrap_or(settings.angle.to_degrees());
+        checks.extend(of("needle", angle_checks(source, angle)));
+        for check in &checks {
+            if let Some(words) = check.sentence()
+                && !(fresh && check.said)
+            {
                 self.out.warn(&words);
             }
-            m.warnings.push(words);
         }
-        let rig = self.provenance.rig.as_ref();
-        if rig.is_some_and(|r| r.camera.kind == CameraKind::Simulated) {
-            let words = "the camera is a simulated one (camera.kind): this hand is rendered";
-            self.out.warn(words);
-            m.warnings.push(words.to_owned());
-        }
-        let (settings, source) = self.args.settings();
-        let curved = m.decision.cautions(m.request.radius_mm, &settings.limits);
-        let angle = self
-            .args
-            .needle_angle
-            .unwrap_or(settings.angle.to_degrees());
-        for words in curved.into_iter().chain(angle_words(source, angle)) {
-            self.out.warn(&words);
-            m.warnings.push(words);
-        }
+        m.checks.extend(checks);
     }
 
     /// Writes cloud and result of a measurement.
@@ -258,9 +277,13 @@ impl Job<'_> {
     ) -> anyhow::Result<()> {
         let setup = crate::puncture::Setup::default();
         let decision = crate::puncture::default_decision();
-        let mut section = report::decided(&decision, &setup);
+        let given = self.args.needle_angle;
+        let mut section = report::decided(&decision, &setup, given);
         if self.args.puncture {
-            let angles: Vec<f64> = decision.rows.iter().map(|r| r.angle_deg).collect();
+            // The given angle too, where the reference can.
+            let simulated = section.runs.iter().map(|r| r.angle_deg);
+            let simulated = simulated.filter(|a| SIMULATED_DEG.contains(a));
+            let angles: Vec<f64> = simulated.collect();
             let numerics = crate::puncture::Numerics::default();
             let criterion = decision.criterion;
             let found = super::puncture::simulate(&setup, &angles, &numerics, criterion, self.out)?;

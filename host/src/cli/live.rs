@@ -4,6 +4,7 @@
 use super::Output;
 use super::job::{Job, NeedleArgs};
 use crate::calibration::RigModel;
+use crate::checks::{Check, Limit, sentences};
 use crate::image::{Image, Pixel};
 use crate::output::{CalibrationFile, ResultFile, ScanProvenance};
 use crate::pipeline::{
@@ -188,7 +189,14 @@ impl Live {
         });
         let unusable = self.left_out.iter().map(|e| format!("{e:#}: left out"));
         let left_out: Vec<String> = unusable.chain(dark).collect();
-        let (weak, times) = (left_out.clone(), &self.times);
+        let mut weak = vec![Check::held(
+            "scan: frames left out",
+            left_out.len() as f64,
+            Limit::AtMost(0.0),
+            "",
+        )];
+        weak.extend(left_out.iter().map(|w| Check::caution("scan: frame", w)));
+        let times = &self.times;
         let measured = match self.depth {
             Depth::Eight(f) => decide(f.in_order(), file, entry, needle, weak, times),
             Depth::Sixteen(f) => decide(f.in_order(), file, entry, needle, weak, times),
@@ -209,7 +217,7 @@ fn decide<P: Pixel>(
     file: &Path,
     entry: &Entry,
     needle: &NeedleArgs,
-    weak: Vec<String>,
+    weak: Vec<Check>,
     times: &Times,
 ) -> anyhow::Result<Measurement> {
     let settings = needle.settings().0;
@@ -217,12 +225,12 @@ fn decide<P: Pixel>(
 }
 
 impl Finished {
-    /// Adds what is weak, and says it; then writes cloud, result and report where there is a folder
+    /// Adds the checks of scan and calibration, and says what is weak; then writes cloud, result and report where there is a folder
     /// for them.
     #[allow(clippy::too_many_arguments)]
     pub fn conclude(
         &mut self,
-        weak: Vec<String>,
+        weak: Vec<Check>,
         folder: Option<&Path>,
         session: &Session,
         calibration: &CalibrationFile,
@@ -245,10 +253,10 @@ impl Finished {
         for words in &self.left_out {
             out.warn(words);
         }
-        for words in weak {
+        for words in sentences(&weak) {
             out.warn(&words);
-            self.measured.warnings.push(words);
         }
+        self.measured.checks.extend(weak);
         job.weigh(&mut self.measured);
         if folder.is_none() {
             return Ok(None);

@@ -92,7 +92,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 let found = calibrate(&session, Method::Ml, &Times::default(), out)?;
                 CalibrationFile::new(&found, &session)
             };
-            let c = calibration_section(&file, Vec::new(), None);
+            let c = calibration_section(&file, &[], None);
             let mut plots = vec![
                 chart::view_rms(&c),
                 chart::residuals(&c),

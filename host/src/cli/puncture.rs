@@ -59,6 +59,9 @@ pub struct Args {
     mesh: Option<f64>,
 }
 
+/// Angles that the reference can run at, degrees.
+pub const SIMULATED_DEG: std::ops::RangeInclusive<f64> = 10.0..=80.0;
+
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let bad = |s: String| anyhow::Error::new(BadArgument(s));
@@ -97,7 +100,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         return fit_fast_model(&setup, &numerics, &args.out, out);
     }
     let mut angles = args.angles.clone();
-    if let Some(a) = angles.iter().find(|a| !(10.0..=80.0).contains(*a)) {
+    if let Some(a) = angles.iter().find(|a| !SIMULATED_DEG.contains(*a)) {
         return Err(bad(format!("--angles {a}: give angles from 10° to 80°")));
     }
     // The longest path first: the cores finish together.

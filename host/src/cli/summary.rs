@@ -106,10 +106,15 @@ pub fn measurement(m: &Measurement) -> String {
         three("needle axis", &d.needle.axis, 5, degrees(u.axis_sigma())),
     ];
     format!(
-        "{}\nneedle angle  {:.1}° ± {:.3}° to the plane of {} points within {:.1} mm ({:.3} mm RMS); cloud of {} points",
+        "{}\nneedle angle  {:.1}° ± {:.2}° measured (1 σ), {}\n              to the plane of {} points within {:.1} mm ({:.3} mm RMS); cloud of {} points",
         aligned(&rows),
         d.needle.angle.to_degrees(),
         u.angle_sigma.to_degrees(),
+        d.radius_change()
+            .map_or("the radius's part unknown".to_owned(), |r| format!(
+                "± {:.2}° by the region's radius (systematic)",
+                r.abs().to_degrees()
+            )),
         d.points,
         m.request.radius_mm,
         d.rms_mm,
@@ -119,7 +124,7 @@ pub fn measurement(m: &Measurement) -> String {
 
 /// The report's verdict in a line.
 fn verdict(m: &Measurement) -> String {
-    let words = match m.warnings.len() {
+    let words = match crate::checks::sentences(&m.checks).len() {
         0 => "usable".to_owned(),
         1 => {
             "usable with caution: one warning (above, in result.json and in the report)".to_owned()

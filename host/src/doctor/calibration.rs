@@ -2,7 +2,8 @@
 //! loose.
 
 use super::{Check, Checks};
-use crate::output::{age, age_words, doubts, read_calibration};
+use crate::checks::Check as Made;
+use crate::output::{age, age_words, calibration_checks, read_calibration};
 use crate::rig::config::Rig;
 use std::path::Path;
 
@@ -81,15 +82,15 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
         Some(then) => c.good("age", age_words(then, now)),
         None => c.skipped("age", "it carries no date"),
     }
-    let doubts = doubts(&found, None, now);
-    if doubts.is_empty() {
+    let made = calibration_checks(&found, None, now);
+    if made.iter().all(Made::sound) {
         c.good(
             "tightness",
             format!("corners fit to {:.3} px", camera.rms_px),
         );
     }
-    for doubt in doubts {
-        c.weak("trust", doubt.what, doubt.remedy);
+    for doubt in made.into_iter().filter(|m| m.sentence().is_some()) {
+        c.weak("trust", doubt.words, &doubt.remedy);
     }
     c.list
 }

@@ -19,6 +19,7 @@ pub use error::NeedleError;
 pub use uncertainty::Uncertainty;
 
 use crate::calibration::RigModel;
+use crate::checks::{Check, Limit};
 use crate::cloud::CloudPoint;
 use crate::geometry::{Plane, Point3, Vector2, Vector3};
 use plane::PlaneFit;
@@ -154,6 +155,8 @@ pub struct Decision {
     pub needle: NeedleAxis,
     /// How sure all this is.
     pub uncertainty: Uncertainty,
+    /// Every check that was made on the way.
+    pub checks: Vec<Check>,
 }
 
 impl Decision {
@@ -163,28 +166,55 @@ impl Decision {
         [-n.x / n.z, -n.y / n.z, -self.plane.d / n.z]
     }
 
-    /// What makes the angle mean less than its figure says, a sentence each.
-    pub fn cautions(&self, radius_mm: f64, limits: &Limits) -> Vec<String> {
-        let mut said = Vec::new();
-        let curved = limits.curved * radius_mm;
-        if self.rms_mm > curved {
-            said.push(format!(
-                "the region is curved like a cylinder of {:.0} mm radius ({:.2} mm RMS off its plane, flat enough up to {curved:.2} mm): an entry 1 mm off meets the skin at up to {:.1}° another angle; choose a flatter entry or a smaller radius_mm",
-                self.bend_mm,
-                self.rms_mm,
-                (1.0 / self.bend_mm).to_degrees(),
-            ));
-        }
-        if let Some(inner) = self.inner_angle
-            && (inner - self.needle.angle).abs() > limits.turn
-        {
-            said.push(format!(
-                "the angle hangs on the region's radius: the same needle stands at {:.1}° to the plane of half the radius, at {:.1}° to this one; choose another entry, or give the radius that the needle's contact asks for",
-                inner.to_degrees(),
-                self.needle.angle.to_degrees(),
-            ));
-        }
-        said
+    /// How far the needle's angle changes if the plane is fitted within half the radius, rad: the
+    /// known part of the model's error, that a hand is no plane. `None` where that has no plane.
+    pub fn radius_change(&self) -> Option<f64> {
+        Some(self.inner_angle? - self.needle.angle)
+    }
+
+    /// What makes the angle mean less than its figure says.
+    fn weigh(&mut self, radius_mm: f64, limits: &Limits) {
+        let curved = Check::held(
+            "region: RMS distance from its plane",
+            self.rms_mm,
+            Limit::AtMost(limits.curved * radius_mm),
+            "mm",
+        )
+        .or(|| {
+            (
+                format!(
+                    "the region is curved like a cylinder of {:.0} mm radius ({:.2} mm RMS off its plane, flat enough up to {:.2} mm): an entry 1 mm off meets the skin at up to {:.1}° another angle",
+                    self.bend_mm,
+                    self.rms_mm,
+                    limits.curved * radius_mm,
+                    (1.0 / self.bend_mm).to_degrees(),
+                ),
+                "choose a flatter entry or a smaller radius_mm".to_owned(),
+            )
+        });
+        let what = "needle angle: change with half the region’s radius";
+        let turned = match self.radius_change() {
+            Some(change) => {
+                let limit = Limit::AtMost(limits.turn.to_degrees());
+                Check::held(what, change.abs().to_degrees(), limit, "°").or(|| {
+                    (
+                        format!(
+                            "the angle hangs on the region’s radius: the same needle stands at {:.1}° to the plane of half the radius, at {:.1}° to this one",
+                            (self.needle.angle + change).to_degrees(),
+                            self.needle.angle.to_degrees(),
+                        ),
+                        "choose another entry, or give the radius that the needle’s contact asks for".to_owned(),
+                    )
+                })
+            }
+            None => Check::is(what, false).or(|| {
+                (
+                    "half the region’s radius holds no plane, so that it is not known how far the angle hangs on the radius".to_owned(),
+                    "give a larger radius_mm, or scan with closer stripes".to_owned(),
+                )
+            }),
+        };
+        self.checks.extend([curved, turned]);
     }
 }
 
@@ -201,7 +231,20 @@ pub fn decide(
     let limits = &settings.limits;
     let ray = rig.camera.ray(&request.pixel).ok_or(NeedleError::NoRay)?;
     let start = surface::near(cloud, &request.pixel, &ray)?;
-    let frame = local_frame(cloud, &start, request.radius_mm, rig, limits)?;
+    let mut checks = Vec::new();
+    let mut holds = |what: &str, value: f64, limit: Limit, unit: &str| {
+        let check = Check::held(what, value, limit, unit);
+        let sound = check.sound();
+        checks.push(check);
+        sound
+    };
+    let (frame, grazing) = local_frame(cloud, &start, request.radius_mm, rig, limits)?;
+    holds(
+        "region: angle between light plane and surface",
+        grazing.to_degrees(),
+        Limit::AtLeast(limits.grazing.to_degrees()),
+        "°",
+    );
     let reach = reach(cloud, request, &start);
     let build = |smooth| {
         Surface::build(
@@ -223,7 +266,19 @@ pub fn decide(
         .filter(|p| (p.position - met).norm() <= request.radius_mm)
         .collect();
     let stripes = frames(&region);
-    if region.len() < limits.points || stripes < limits.stripes {
+    let enough = holds(
+        "region: points",
+        region.len() as f64,
+        Limit::AtLeast(limits.points as f64),
+        "",
+    );
+    let across = holds(
+        "region: stripes",
+        stripes as f64,
+        Limit::AtLeast(limits.stripes as f64),
+        "",
+    );
+    if !(enough && across) {
         return Err(NeedleError::TooFewPoints {
             points: region.len(),
             stripes,
@@ -232,14 +287,26 @@ pub fn decide(
         });
     }
     let patch = surface.patch(&met, request.radius_mm, Interpolation::Cubic);
-    if !(patch.coverage >= limits.coverage) {
+    let covered = holds(
+        "region: part covered by measured surface",
+        100.0 * patch.coverage,
+        Limit::AtLeast(100.0 * limits.coverage),
+        "%",
+    );
+    if !covered {
         return Err(NeedleError::NotCovered {
             coverage: patch.coverage,
             needed: limits.coverage,
         });
     }
     let area = PlaneFit::new(&patch.cells).ok_or(NeedleError::Degenerate)?;
-    if !(area.rms_mm <= limits.roughness * request.radius_mm) {
+    let flat = holds(
+        "region: RMS distance from its plane, refused",
+        area.rms_mm,
+        Limit::AtMost(limits.roughness * request.radius_mm),
+        "mm",
+    );
+    if !flat {
         return Err(NeedleError::NotFlat {
             rms_mm: area.rms_mm,
             limit_mm: limits.roughness * request.radius_mm,
@@ -256,7 +323,13 @@ pub fn decide(
         .dot(&plane.normal)
         .clamp(-1.0, 1.0)
         .acos();
-    if !(sight <= limits.obliquity) {
+    let facing = holds(
+        "region: angle between normal and line of sight",
+        sight.to_degrees(),
+        Limit::AtMost(limits.obliquity.to_degrees()),
+        "°",
+    );
+    if !facing {
         return Err(NeedleError::Oblique {
             angle_deg: sight.to_degrees(),
             limit_deg: limits.obliquity.to_degrees(),
@@ -310,9 +383,19 @@ pub fn decide(
         coarse,
         stripe_bias_px: settings.stripe_bias_px,
     });
-    if !(uncertainty.angle_sigma <= limits.angle_sigma)
-        || !(uncertainty.entry_sigma_mm() <= limits.entry_sigma_mm)
-    {
+    let angle = holds(
+        "needle angle: σ",
+        uncertainty.angle_sigma.to_degrees(),
+        Limit::AtMost(limits.angle_sigma.to_degrees()),
+        "°",
+    );
+    let place = holds(
+        "entry: σ",
+        uncertainty.entry_sigma_mm(),
+        Limit::AtMost(limits.entry_sigma_mm),
+        "mm",
+    );
+    if !(angle && place) {
         return Err(NeedleError::TooUncertain {
             angle_deg: uncertainty.angle_sigma.to_degrees(),
             angle_limit_deg: limits.angle_sigma.to_degrees(),
@@ -325,7 +408,7 @@ pub fn decide(
         let sine = fit.plane.normal.dot(&needle.axis).abs();
         sine.min(1.0).asin()
     });
-    Ok(Decision {
+    let mut decision = Decision {
         plane,
         points: region.len(),
         stripes,
@@ -339,7 +422,10 @@ pub fn decide(
         direction,
         needle,
         uncertainty,
-    })
+        checks,
+    };
+    decision.weigh(request.radius_mm, limits);
+    Ok(decision)
 }
 
 /// Normal, entry and vein line with straight interpolation.
@@ -367,14 +453,15 @@ fn frames(points: &[&CloudPoint]) -> usize {
     frames.len()
 }
 
-/// The frame in which the surface is written as a height: from the points around `start`.
+/// The frame in which the surface is written as a height, from the points around `start`; and the
+/// angle between light plane and surface, rad.
 fn local_frame(
     cloud: &[CloudPoint],
     start: &Point3,
     radius_mm: f64,
     rig: &RigModel,
     limits: &Limits,
-) -> Result<surface::LocalFrame, NeedleError> {
+) -> Result<(surface::LocalFrame, f64), NeedleError> {
     let near: Vec<&CloudPoint> = cloud
         .iter()
         .filter(|p| (p.position - start).norm() <= radius_mm)
@@ -411,12 +498,13 @@ fn local_frame(
     }
     // Along the stripe: where the light plane cuts the surface's plane.
     let along = rig.light.normal.cross(&rough.plane.normal).normalize();
-    Ok(surface::LocalFrame {
+    let frame = surface::LocalFrame {
         origin: *start,
         along,
         across: rough.plane.normal.cross(&along),
         normal: rough.plane.normal,
-    })
+    };
+    Ok((frame, between.min(1.0).asin()))
 }
 
 /// How far from the start the surface is needed: the region and the vein's pixels.
@@ -479,7 +567,6 @@ mod tests {
 
     #[test]
     fn a_cylinder_is_known_by_its_radius_and_called_curved_where_it_is() {
-        let limits = Limits::default();
         for (radius, said) in [(30.0, 1), (100.0, 0)] {
             let d = decision(|x| radius - (radius * radius - x * x).sqrt());
             // A ball cuts less out of a strong bend than a disc: a tenth.
@@ -488,7 +575,7 @@ mod tests {
                 "{} {radius}",
                 d.bend_mm
             );
-            let words = d.cautions(12.0, &limits);
+            let words = crate::checks::sentences(&d.checks);
             assert_eq!(words.len(), said, "{words:?}");
             assert!(words.iter().all(|w| w.contains("curved like a cylinder")));
             // It bends evenly to both sides.
@@ -505,7 +592,7 @@ mod tests {
             let turn = (0.5 * c * 144.0_f64).atan() - (0.5 * c * 36.0_f64).atan();
             let found = (d.inner_angle.unwrap() - d.needle.angle).abs();
             assert!((found / turn - 1.0).abs() < 0.06, "{found} {turn}");
-            let words = d.cautions(12.0, &Limits::default());
+            let words = crate::checks::sentences(&d.checks);
             let named = words.iter().filter(|w| w.contains("hangs on the region"));
             assert_eq!(named.count(), said, "{words:?}");
         }

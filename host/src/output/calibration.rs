@@ -2,6 +2,7 @@
 
 use super::{OutputError, three};
 use crate::calibration::{Covariance, LightModel, PARAMETERS, RigModel};
+use crate::checks::Check;
 use crate::geometry::{Camera, Distortion, Pose, Vector3};
 use crate::pipeline::Calibrated;
 use crate::session::{RecordingDigest, Session};
@@ -34,6 +35,9 @@ pub struct CalibrationFile {
     /// What is weak, a sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
+    /// Every check that was made, with value, limit and outcome.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub checks: Vec<Check>,
     /// How it came about.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub provenance: Option<Provenance>,
@@ -269,6 +273,7 @@ impl CalibrationFile {
                 square_mm: calibrated.board.square_mm,
             }),
             warnings: calibrated.warnings.clone(),
+            checks: calibrated.checks.clone(),
             provenance: Some(Provenance {
                 program: crate::PROGRAM.to_owned(),
                 session: session.folder().display().to_string(),

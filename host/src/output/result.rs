@@ -1,6 +1,7 @@
 //! result.json: what the contract fixes, and beside it how sure it is.
 
 use super::{CalibrationFile, rows, three};
+use crate::checks::{self, Check};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::needle::Decision;
 use crate::pipeline::Measurement;
@@ -49,9 +50,12 @@ pub struct ResultFile {
     #[serde(skip_serializing_if = "Option::is_none")]
     robot: Option<Robot>,
     method: &'static str,
-    /// "usable" or "usable with caution": `warnings` say why. (What is not usable has no result.)
+    /// "usable", or "usable with caution" where one of `checks` is not sound. (What is not usable has
+    /// no result.)
     verdict: &'static str,
-    /// What is weak, a sentence each.
+    /// Every check that was made, with value, limit and outcome.
+    checks: Vec<Check>,
+    /// What is weak, a sentence each: those of `checks`.
     pub warnings: Vec<String>,
     /// What it was measured with.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -166,7 +170,13 @@ struct Vein {
 struct Needle {
     angle_deg: f64,
     axis: [f64; 3],
+    /// What measuring leaves open: standard deviation by stripe, sampling and calibration.
     angle_sigma_deg: f64,
+    /// What the model is known to leave open beside that: how much the angle changes if the plane is
+    /// fitted within half the radius (a hand is no plane). Systematic: repeating the scan does not
+    /// make it smaller.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    angle_systematic_deg: Option<f64>,
     angle_source: AngleSource,
     /// The same needle's angle to the plane of half the region's radius.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -269,6 +279,7 @@ impl ResultFile {
                 angle_deg: d.needle.angle.to_degrees(),
                 axis: three(&d.needle.axis),
                 angle_sigma_deg: u.angle_sigma.to_degrees(),
+                angle_systematic_deg: d.radius_change().map(|r| r.abs().to_degrees()),
                 angle_source: source,
                 angle_at_half_radius_deg: d.inner_angle.map(f64::to_degrees),
                 axis_sigma_deg: u.axis_sigma().to_degrees(),
@@ -278,11 +289,9 @@ impl ResultFile {
             },
             robot: robot.map(|t| Robot::new(d, t)),
             method: method.name(),
-            verdict: match m.warnings.is_empty() {
-                true => "usable",
-                false => "usable with caution",
-            },
-            warnings: m.warnings.clone(),
+            verdict: checks::verdict(&m.checks),
+            checks: m.checks.clone(),
+            warnings: checks::sentences(&m.checks),
             provenance: None,
             seconds: BTreeMap::new(),
         }

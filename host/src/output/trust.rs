@@ -1,6 +1,7 @@
 //! Whether a calibration is still to be trusted: its age and how loose it is.
 
 use super::CalibrationFile;
+use crate::checks::{self, Check, Limit};
 use crate::needle::Uncertainty;
 use jiff::{SignedDuration, Timestamp};
 
@@ -18,24 +19,6 @@ pub const LOOSE_AXIS_DEG: f64 = 0.2;
 
 /// The remedy for a file that does not say how it came about.
 const REMAKE: &str = "calibrate again with `cannula calibrate`";
-
-/// What speaks against a calibration, and what to do.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Doubt {
-    /// What.
-    pub what: String,
-    /// The remedy.
-    pub remedy: &'static str,
-    /// The calibration has said so itself when it was made.
-    pub said: bool,
-}
-
-impl Doubt {
-    /// In one sentence.
-    pub fn sentence(&self) -> String {
-        format!("{}: {}", self.what, self.remedy)
-    }
-}
 
 /// Whole seconds, ISO 8601 in UTC.
 pub fn seconds(time: Timestamp) -> String {
@@ -90,126 +73,183 @@ pub fn age_at_scan(then: Timestamp, scan: Option<Timestamp>, now: Timestamp) -> 
     }
 }
 
-/// What speaks against it, whatever is measured with it. `scan` is when that was recorded, where it
-/// is known: the age that counts is the one then.
-pub fn doubts(file: &CalibrationFile, scan: Option<Timestamp>, now: Timestamp) -> Vec<Doubt> {
+/// The checks of a calibration, whatever is measured with it. `scan` is when that was recorded, where
+/// it is known: the age that counts is the one then.
+pub fn calibration_checks(
+    file: &CalibrationFile,
+    scan: Option<Timestamp>,
+    now: Timestamp,
+) -> Vec<Check> {
     let mut all = Vec::new();
-    let mut doubt = |what: String, remedy| {
-        all.push(Doubt {
-            what,
-            remedy,
-            said: false,
-        });
-    };
+    let because = |words: String, remedy: &str| (words, remedy.to_owned());
     if let Some(then) = age(file) {
         let apart = scan.unwrap_or(now).duration_since(then);
-        if apart.abs() > SignedDuration::from_hours(24 * OLD_DAYS) {
+        let days = |d: SignedDuration| d.as_secs_f64() / 86_400.0;
+        let old = Check::held(
+            match scan {
+                Some(_) => "calibration: from its recording to the scan",
+                None => "calibration: age",
+            },
+            days(apart).abs(),
+            Limit::AtMost(OLD_DAYS as f64),
+            "days",
+        );
+        all.push(old.or(|| {
             let days = apart.abs().as_hours() / 24;
             let what = match (scan, apart > SignedDuration::ZERO) {
                 (None, _) => format!("the calibration is {days} days old"),
                 (Some(_), true) => format!("the calibration was {days} days old at the scan"),
                 (Some(_), false) => format!("the calibration is of {days} days after the scan"),
             };
-            doubt(
+            because(
                 format!("{what} (more than {OLD_DAYS})"),
                 "calibrate again, or check it with one board pose",
-            );
-        }
-        if now.duration_since(then) < SignedDuration::from_mins(-5) {
-            doubt(
-                format!("the calibration is dated {}, in the future", seconds(then)),
-                "set this machine's clock",
-            );
-        }
-    } else {
-        doubt(
-            "the calibration carries no date, so its age is unknown".to_owned(),
-            REMAKE,
+            )
+        }));
+        let past = now.duration_since(then) >= SignedDuration::from_mins(-5);
+        all.push(
+            Check::is("calibration: not dated in the future", past).or(|| {
+                because(
+                    format!("the calibration is dated {}, in the future", seconds(then)),
+                    "set this machine's clock",
+                )
+            }),
         );
+    } else {
+        all.push(Check::is("calibration: carries its date", false).or(|| {
+            because(
+                "the calibration carries no date, so its age is unknown".to_owned(),
+                REMAKE,
+            )
+        }));
     }
-    if file.covariance.is_none() {
-        doubt(
+    let sure = file.covariance.is_some();
+    all.push(Check::is("calibration: carries its uncertainty", sure).or(|| {
+        because(
             "the calibration carries no uncertainty (covariance), so its part of every σ is unknown and left out"
                 .to_owned(),
             REMAKE,
-        );
-    }
-    if file.camera.views.is_empty() {
-        doubt(
+        )
+    }));
+    let views = !file.camera.views.is_empty();
+    all.push(Check::is("calibration: carries its views", views).or(|| {
+        because(
             "the calibration carries no views of the board, so coverage and tilts are unknown"
                 .to_owned(),
             REMAKE,
-        );
-    }
-    if file.camera.rms_px > LOOSE_CORNERS_PX {
-        doubt(
+        )
+    }));
+    let corners = Check::held(
+        "calibration: corners off the fitted boards, RMS",
+        file.camera.rms_px,
+        Limit::AtMost(LOOSE_CORNERS_PX),
+        "px",
+    );
+    all.push(corners.or(|| {
+        because(
             format!(
                 "the calibration is loose: corners miss by {:.2} px (more than {LOOSE_CORNERS_PX})",
                 file.camera.rms_px
             ),
             "calibrate again with a flat board, sharp and still",
-        );
-    }
+        )
+    }));
     let light = file.light.as_ref();
-    let planes = light.and_then(|l| l.hold_out_error_mm.or(l.offset_error_mm));
-    if let Some(miss) = planes.filter(|m| *m > LOOSE_PLANES_MM) {
-        doubt(
-            format!(
-                "the calibration is loose: light planes are predicted to {miss:.2} mm (more than {LOOSE_PLANES_MM})"
-            ),
-            "check the slide for slip and calibrate again with more board poses",
-        );
+    if let Some(miss) = light.and_then(|l| l.hold_out_error_mm.or(l.offset_error_mm)) {
+        let limit = Limit::AtMost(LOOSE_PLANES_MM);
+        let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm");
+        all.push(planes.or(|| {
+            because(
+                format!(
+                    "the calibration is loose: light planes are predicted to {miss:.2} mm (more than {LOOSE_PLANES_MM})"
+                ),
+                "check the slide for slip and calibrate again with more board poses",
+            )
+        }));
     }
-    let said = |what: String| Doubt {
-        what: format!("the calibration {what}"),
-        remedy: "calibrate again if that matters here",
+    all.extend(file.checks.iter().cloned());
+    all.extend(own_words(file));
+    all
+}
+
+/// What the calibration said of itself when it was made.
+fn own_words(file: &CalibrationFile) -> Vec<Check> {
+    let said = |words: String| Check {
         said: true,
+        remedy: "calibrate again if that matters here".to_owned(),
+        ..Check::caution(
+            "calibration: its own words",
+            format!("the calibration {words}"),
+        )
     };
     // Many images that were left out are one doubt; the file names them all.
     let (left, other): (Vec<&String>, Vec<&String>) = file
         .warnings
         .iter()
         .partition(|w| w.contains(": left out: "));
-    match left.as_slice() {
-        [first, _, _, ..] => all.push(said(format!(
+    let mut all: Vec<Check> = match left.as_slice() {
+        [first, _, _, ..] => vec![said(format!(
             "left out {} images, the first: {first} (all of them stand under \"warnings\" in its file)",
             left.len()
-        ))),
-        few => all.extend(few.iter().map(|w| said(format!("said: {w}")))),
-    }
+        ))],
+        few => few.iter().map(|w| said(format!("said: {w}"))).collect(),
+    };
     all.extend(other.iter().map(|w| said(format!("said: {w}"))));
     all
 }
 
-/// All that speaks against a calibration: where a hand was measured with it, also what that says.
-pub fn all_doubts(
+/// The same, and where a hand was measured with it, whether it alone makes that result uncertain.
+pub fn all_checks(
     file: &CalibrationFile,
     scan: Option<Timestamp>,
     now: Timestamp,
     measured: Option<&Uncertainty>,
-) -> Vec<Doubt> {
-    let here = measured.and_then(|u| loose_here(u.entry_parts_mm[0], u.angle_parts[0]));
-    here.into_iter().chain(doubts(file, scan, now)).collect()
+) -> Vec<Check> {
+    let here = measured.filter(|_| file.covariance.is_some());
+    let here = here.map(|u| tight_here(u.entry_parts_mm[0], u.angle_parts[0]));
+    let alone = calibration_checks(file, scan, now);
+    checks::of("calibration", here.into_iter().flatten().chain(alone)).collect()
 }
 
 /// Whether the calibration alone makes this result uncertain: its parts of the standard deviations
 /// of entry (mm) and needle axis (rad).
-fn loose_here(entry_mm: f64, axis: f64) -> Option<Doubt> {
+fn tight_here(entry_mm: f64, axis: f64) -> [Check; 2] {
     let axis_deg = axis.to_degrees();
-    (entry_mm > LOOSE_ENTRY_MM || axis_deg > LOOSE_AXIS_DEG).then(|| Doubt {
-        what: format!(
-            "the calibration is too loose: it alone leaves the entry to ±{entry_mm:.2} mm and the angle to ±{axis_deg:.2}° (more than {LOOSE_ENTRY_MM} mm or {LOOSE_AXIS_DEG}°)"
-        ),
-        remedy: "calibrate with more board poses, tilted more, nearer and farther",
-        said: false,
-    })
+    let words = || {
+        (
+            format!(
+                "the calibration is too loose: it alone leaves the entry to ±{entry_mm:.2} mm and the angle to ±{axis_deg:.2}° (more than {LOOSE_ENTRY_MM} mm or {LOOSE_AXIS_DEG}°)"
+            ),
+            "calibrate with more board poses, tilted more, nearer and farther".to_owned(),
+        )
+    };
+    let entry = Check::held(
+        "entry: σ by the calibration alone",
+        entry_mm,
+        Limit::AtMost(LOOSE_ENTRY_MM),
+        "mm",
+    );
+    let axis = Check::held(
+        "needle axis: σ by the calibration alone",
+        axis_deg,
+        Limit::AtMost(LOOSE_AXIS_DEG),
+        "°",
+    );
+    // One sentence for both.
+    let axis = if entry.sound() { axis.or(words) } else { axis };
+    [entry.or(words), axis]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::calibration::PARAMETERS;
+    use crate::checks::sentences;
     use crate::output::tests::{contract, read};
+
+    fn doubts(file: &CalibrationFile, scan: Option<Timestamp>, now: Timestamp) -> Vec<String> {
+        sentences(&calibration_checks(file, scan, now))
+    }
 
     fn dated(days: i64) -> (CalibrationFile, Timestamp) {
         let now: Timestamp = "2026-11-25T12:00:00Z".parse().unwrap();
@@ -228,33 +268,30 @@ mod tests {
     #[test]
     fn an_old_one_a_future_one_and_a_fresh_one() {
         let (file, now) = dated(3);
-        assert_eq!(doubts(&file, None, now), []);
+        assert_eq!(doubts(&file, None, now), [] as [String; 0]);
+        assert!(
+            calibration_checks(&file, None, now)
+                .iter()
+                .all(Check::sound)
+        );
         assert!(age_words(age(&file).unwrap(), now).ends_with("3 days ago"));
         let (file, now) = dated(45);
-        assert!(doubts(&file, None, now)[0].what.contains("45 days old"));
+        assert!(doubts(&file, None, now)[0].contains("45 days old"));
         // It counts what it was at the scan.
         let scan = now - SignedDuration::from_hours(24 * 40);
-        assert_eq!(doubts(&file, Some(scan), now), []);
+        assert_eq!(doubts(&file, Some(scan), now), [] as [String; 0]);
         let words = age_at_scan(age(&file).unwrap(), Some(scan), now);
         assert!(
             words.ends_with("45 days ago, 5 days before the scan"),
             "{words}"
         );
         let early = now - SignedDuration::from_hours(24 * 90);
-        assert!(
-            doubts(&file, Some(early), now)[0]
-                .what
-                .contains("45 days after the scan")
-        );
+        assert!(doubts(&file, Some(early), now)[0].contains("45 days after the scan"));
         let (fresh, now) = dated(0);
         let late = now + SignedDuration::from_hours(24 * 31);
-        assert!(
-            doubts(&fresh, Some(late), late)[0]
-                .what
-                .contains("was 31 days old at the scan")
-        );
+        assert!(doubts(&fresh, Some(late), late)[0].contains("was 31 days old at the scan"));
         let (file, now) = dated(-2);
-        assert!(doubts(&file, None, now)[0].what.contains("in the future"));
+        assert!(doubts(&file, None, now)[0].contains("in the future"));
         // The contract's own file has no date, σ or views: nothing is invented, and that is said.
         let bare = read(&contract()).unwrap();
         assert_eq!(age(&bare), None);
@@ -262,7 +299,7 @@ mod tests {
         assert_eq!(said.len(), 3, "{said:?}");
         for (doubt, word) in said.iter().zip(["no date", "no uncertainty", "no views"]) {
             assert!(
-                doubt.what.contains(word) && doubt.what.contains("unknown"),
+                doubt.contains(word) && doubt.contains("unknown"),
                 "{doubt:?}"
             );
         }
@@ -273,10 +310,7 @@ mod tests {
         let (mut file, now) = dated(0);
         file.camera.rms_px = 0.8;
         file.light.as_mut().unwrap().hold_out_error_mm = Some(0.25);
-        let said: Vec<String> = doubts(&file, None, now)
-            .iter()
-            .map(Doubt::sentence)
-            .collect();
+        let said = doubts(&file, None, now);
         assert_eq!(said.len(), 2);
         assert!(
             said[0].contains("0.80 px") && said[1].contains("0.25 mm"),
@@ -285,15 +319,13 @@ mod tests {
         file.warnings = vec!["planes ± 0.12 mm".into()];
         file.warnings
             .extend((0..4).map(|i| format!("on_{i}.png: left out: no stripe")));
-        let said: Vec<String> = doubts(&file, None, now)
-            .iter()
-            .map(Doubt::sentence)
-            .collect();
+        let said = doubts(&file, None, now);
         assert_eq!(said.len(), 4, "{said:?}");
         assert!(said[2].contains("left out 4 images, the first: on_0.png"));
         assert!(said[3].contains("± 0.12 mm"));
-        assert_eq!(loose_here(0.05, 0.001), None);
-        assert!(loose_here(0.05, 0.01).unwrap().what.contains("0.57°"));
-        assert!(loose_here(0.4, 0.0).is_some());
+        let loose = |entry, axis| sentences(&tight_here(entry, axis));
+        assert_eq!(loose(0.05, 0.001), [] as [String; 0]);
+        assert!(loose(0.05, 0.01)[0].contains("0.57°"));
+        assert_eq!((loose(0.4, 0.0).len(), loose(0.4, 0.01).len()), (1, 1));
     }
 }

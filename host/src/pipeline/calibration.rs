@@ -9,6 +9,7 @@ use crate::calibration::camera::{self, CameraCalibration, CameraError};
 use crate::calibration::light::{self, CameraData, LightError, LightView, tables};
 use crate::calibration::loss::{self, Measures};
 use crate::calibration::{Covariance, Finding, LightModel, RigModel, Severity};
+use crate::checks::{Check, Limit};
 use crate::geometry::{Camera, Pose};
 use crate::image::Pixel;
 use crate::progress::Progress;
@@ -73,6 +74,8 @@ pub struct Calibrated {
     pub light: Option<Light>,
     /// What is weak, a sentence each.
     pub warnings: Vec<String>,
+    /// Every check that was made.
+    pub checks: Vec<Check>,
 }
 
 impl Calibrated {
@@ -174,6 +177,7 @@ fn run<P: Pixel>(
         board,
         camera: zhang.camera,
         covariance: camera_covariance(&zhang),
+        checks: zhang.checks.clone(),
         zhang,
         views: names,
         corners,
@@ -271,6 +275,7 @@ fn camera_error(
             corners: corners.to_vec(),
             light: None,
             warnings: sentences(&zhang.findings, names),
+            checks: zhang.checks.clone(),
             zhang: *zhang,
         })),
         _ => None,
@@ -357,6 +362,7 @@ fn light_planes(
             calibrated
                 .warnings
                 .extend(sentences(&found.findings, &names));
+            calibrated.checks.extend_from_slice(&found.checks);
             calibrated.camera = found.camera;
             calibrated.covariance = found.covariance;
             let light = of_joint(names, found);
@@ -399,7 +405,7 @@ fn light_planes(
     // The joint solve has a gate of its own.
     let fits = match calibrated.method {
         Method::Ml => Ok(()),
-        Method::Paper => travel_fits(session, &light).map_err(fail),
+        Method::Paper => travel_fits(session, &light, &mut calibrated.checks).map_err(fail),
     };
     calibrated.light = Some(light);
     fits
@@ -440,7 +446,7 @@ fn travel_angle(session: &Session) -> f64 {
 
 /// The planes must move as fast as the slide says: |a| is the cosine of the angle between travel
 /// and normal. Anything else is another unit, another screw, or another board than was described.
-fn travel_fits(session: &Session, light: &Light) -> Result<(), String> {
+fn travel_fits(session: &Session, light: &Light, checks: &mut Vec<Check>) -> Result<(), String> {
     if !light.travels {
         return Ok(());
     }
@@ -451,7 +457,16 @@ fn travel_fits(session: &Session, light: &Light) -> Result<(), String> {
         0.9 * expected,
         (1.03 * expected).clamp(1.03 * expected, 1.03),
     );
-    if seen >= low && seen <= high {
+    let limit = Limit::Between([low, high]);
+    let check = Check::held(
+        "light planes: |a|, their travel over the slide’s",
+        seen,
+        limit,
+        "",
+    );
+    let fits = check.sound();
+    checks.push(check);
+    if fits {
         return Ok(());
     }
     Err(format!(
@@ -481,6 +496,12 @@ fn stripes_found(
             found: None,
         });
     }
+    calibrated.checks.push(Check::held(
+        "light planes: images left out",
+        failed.len() as f64,
+        Limit::AtMost(0.0),
+        "",
+    ));
     calibrated.warnings.extend(
         failed
             .iter()

@@ -5,6 +5,7 @@ use super::Method;
 use super::error::PipelineError;
 use super::times::{Stage, Times};
 use crate::calibration::{RigModel, loss};
+use crate::checks::{Check, Limit, sentences};
 use crate::cloud::{CloudPoint, Lost, triangulate};
 use crate::geometry::{Point3, Vector2};
 use crate::image::{Image, Pixel};
@@ -210,8 +211,8 @@ impl<P: Pixel> Reconstruction<P> {
         needle::decide(cloud, &self.rig, request, &settings)
     }
 
-    /// The measurement, once all frames are in. `file` is what an error names, `warnings` what is
-    /// weak so far.
+    /// The measurement, once all frames are in. `file` is what an error names, `checks` those made so
+    /// far.
     ///
     /// # Errors
     /// [`PipelineError::Needle`]: why no angle is given, with what was scanned.
@@ -220,7 +221,7 @@ impl<P: Pixel> Reconstruction<P> {
         file: &Path,
         request: EntryRequest,
         settings: &needle::Settings,
-        warnings: Vec<String>,
+        checks: Vec<Check>,
         times: &Times,
     ) -> Result<Measurement, PipelineError> {
         match times.time(Stage::Needle, || self.decide(&request, settings)) {
@@ -230,7 +231,7 @@ impl<P: Pixel> Reconstruction<P> {
                 counts: self.counts,
                 request,
                 decision,
-                warnings,
+                checks,
             }),
             Err(source) => Err(PipelineError::Needle {
                 path: file.to_owned(),
@@ -238,7 +239,7 @@ impl<P: Pixel> Reconstruction<P> {
                 scanned: Box::new(Scanned {
                     cloud: self.cloud,
                     request,
-                    warnings,
+                    checks,
                 }),
             }),
         }
@@ -258,8 +259,9 @@ pub struct Measurement {
     pub request: EntryRequest,
     /// The needle.
     pub decision: Decision,
-    /// What is weak, a sentence each.
-    pub warnings: Vec<String>,
+    /// Checks that were made: of the scan, and once a result is decided on, all others too. The
+    /// verdict is read off them.
+    pub checks: Vec<Check>,
 }
 
 /// A scanned hand for which no needle angle is given.
@@ -269,8 +271,8 @@ pub struct Scanned {
     pub cloud: Vec<CloudPoint>,
     /// The request, from session.json.
     pub request: EntryRequest,
-    /// What is weak, a sentence each.
-    pub warnings: Vec<String>,
+    /// Checks that were made of the scan.
+    pub checks: Vec<Check>,
 }
 
 impl From<&Entry> for EntryRequest {
@@ -326,9 +328,9 @@ fn run<P: Pixel>(
     })?;
     let size = (manifest.image.width, manifest.image.height);
     let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
-    let warnings = belong_together(session.file(), size, rig, calibrated, &positions)?;
-    for warning in &warnings {
-        progress.warn(warning);
+    let checks = belong_together(session.file(), size, rig, calibrated, &positions)?;
+    for warning in sentences(&checks) {
+        progress.warn(&warning);
     }
     let read = |name: &String| {
         times
@@ -358,7 +360,7 @@ fn run<P: Pixel>(
     progress.finish();
     results?.into_iter().for_each(|result| whole.add(result));
     let request = EntryRequest::from(entry);
-    whole.finish(session.file(), request, settings, warnings, times)
+    whole.finish(session.file(), request, settings, checks, times)
 }
 
 /// Refuses an image of one grey throughout, and one of which more than a third is saturated: no
@@ -393,14 +395,15 @@ pub(crate) fn exposed<P: Pixel>(
 const SLACK: f64 = 0.01;
 
 /// Whether a scan of images of `size` at these slide `positions` can be worked on with a calibration;
-/// warnings where it can but should not. `file` is what an error names.
+/// the checks that were made of it, one that warns where it can but should not. `file` is what an
+/// error names.
 pub(crate) fn belong_together(
     file: &Path,
     size: (u32, u32),
     rig: &RigModel,
     calibrated: &[f64],
     positions: &[f64],
-) -> Result<Vec<String>, PipelineError> {
+) -> Result<Vec<Check>, PipelineError> {
     let mismatch = |what: String, remedy| PipelineError::Mismatch {
         path: file.to_owned(),
         what,
@@ -433,8 +436,22 @@ pub(crate) fn belong_together(
     let reach = high - low;
     // On the fly exposures lie a little after their triggers.
     let slack = 1e-6 + SLACK * reach;
-    if calibrated.len() < 2 || (first >= low - slack && last <= high + slack) {
+    if calibrated.len() < 2 {
         return Ok(Vec::new());
+    }
+    // The position that lies farthest out.
+    let farthest = match low - first > last - high {
+        true => first,
+        false => last,
+    };
+    let check = Check::held(
+        "scan: slide position farthest from the calibrated ones",
+        farthest,
+        Limit::Between([low - slack, high + slack]),
+        "mm",
+    );
+    if check.sound() {
+        return Ok(vec![check]);
     }
     let what = format!(
         "the scan runs from {first} to {last} mm, the light planes were calibrated from {low} to {high} mm"
@@ -445,5 +462,6 @@ pub(crate) fn belong_together(
             "calibrate over the range that is scanned, and give both in mm of the same slide",
         ));
     }
-    Ok(vec![format!("{what}: depth beyond is extrapolated")])
+    let words = || (what, "depth beyond is extrapolated".to_owned());
+    Ok(vec![check.or(words)])
 }

@@ -18,6 +18,8 @@ pub struct Report {
     pub picture: Option<Picture>,
     /// The turnable view.
     pub scene: Option<Scene>,
+    /// Every check that was made.
+    pub checks: Vec<crate::checks::Check>,
     /// Camera and light planes.
     pub calibration: Option<Calibration>,
     /// A few frames with the centres drawn.
@@ -233,8 +235,8 @@ pub struct Calibration {
     pub figure_14: Vec<(f64, f64, f64)>,
     /// What is weak and what to do about it.
     pub findings: Vec<String>,
-    /// What was looked at for that; what its file does not carry was not.
-    pub checked: Vec<String>,
+    /// How many checks were made of it.
+    pub checked: usize,
     /// "ml" or "paper".
     pub method: String,
     /// When: "of …, … ago, … before the scan".
@@ -307,6 +309,8 @@ pub struct Puncture {
     pub runs: Vec<PunctureRun>,
     /// Fast model: angle, degrees; peak force, lower and upper bound, N.
     pub force_over_angle: Vec<[f64; 4]>,
+    /// The angle that was given by hand and is used, degrees; then the criterion's is not.
+    pub given_deg: Option<f64>,
     /// The angle decided on, degrees.
     pub angle_deg: f64,
     /// By which criterion.

@@ -1,8 +1,9 @@
 //! `report.html` of a processed recording.
 
-use super::model::{Calibration, Puncture, Report, TruthRow, Verdict};
+use super::model::{Puncture, Report, TruthRow, Verdict};
 use super::sources;
-use crate::output::{CalibrationFile, Doubt, OutputError, all_doubts, moment, write_whole};
+use crate::checks::{self, Check};
+use crate::output::{CalibrationFile, OutputError, all_checks, moment, write_whole};
 use crate::pipeline::{Measurement, Scanned, Times};
 use crate::session::{Session, SessionError};
 use std::path::Path;
@@ -77,41 +78,43 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     let camera = s.calibration.camera();
     let measured = s.outcome.measured();
     let scan = s.session.manifest.recorded.scan();
-    let weak: Vec<String> = all_doubts(
-        s.calibration,
-        scan,
-        jiff::Timestamp::now(),
-        measured.map(|m| &m.decision.uncertainty),
-    )
-    .iter()
-    .map(Doubt::sentence)
-    .collect();
-    let verdict = match &s.outcome {
-        Outcome::Measured(m) => Some(sources::verdict(m)),
-        Outcome::Refused(reasons, scanned) => Some(Verdict {
-            usable: false,
-            reasons: reasons.clone(),
-            warnings: scanned
-                .iter()
-                .flat_map(|s| s.warnings.iter())
-                .chain(&weak)
-                .cloned()
-                .collect(),
-        }),
-        Outcome::Calibrated(refused) => Some(Verdict {
-            usable: refused.is_empty(),
-            reasons: refused.clone(),
-            warnings: weak.clone(),
-        }),
+    let now = jiff::Timestamp::now();
+    let of_calibration = || all_checks(s.calibration, scan, now, None);
+    // One list: the verdict, the warnings and the calibration's findings are read off it.
+    let (checks, reasons): (Vec<Check>, &[String]) = match &s.outcome {
+        Outcome::Measured(m) => (m.checks.clone(), &[]),
+        Outcome::Refused(reasons, scanned) => {
+            // A refusal is the calibration's own where nothing was scanned with it.
+            let part = match scanned {
+                Some(_) => "needle",
+                None => CALIBRATION,
+            };
+            let scanned = scanned.iter().flat_map(|s| s.checks.iter().cloned());
+            let checks = refusals(part, reasons.get(..1).unwrap_or_default());
+            (
+                checks.chain(scanned).chain(of_calibration()).collect(),
+                reasons,
+            )
+        }
+        Outcome::Calibrated(refused) => {
+            let checks = refusals(CALIBRATION, refused.get(..1).unwrap_or_default());
+            (checks.chain(of_calibration()).collect(), refused)
+        }
     };
-    let checked = sources::checked(s.calibration, measured.is_some());
-    // A refusal is the calibration's own where nothing was scanned with it.
-    let refusal = match &s.outcome {
-        Outcome::Calibrated(refused) => refused.as_slice(),
-        Outcome::Refused(reasons, None) => reasons.get(..1).unwrap_or_default(),
-        _ => &[],
+    let verdict = Verdict {
+        usable: checks.iter().all(|c| c.outcome != checks::Outcome::Refused),
+        reasons: reasons.to_vec(),
+        warnings: checks
+            .iter()
+            .filter(|c| c.outcome != checks::Outcome::Refused)
+            .filter_map(Check::sentence)
+            .collect(),
     };
-    let findings = refusal.iter().cloned().chain(weak).collect();
+    let calibrations: Vec<Check> = checks
+        .iter()
+        .filter(|c| c.part == CALIBRATION)
+        .cloned()
+        .collect();
     let alone = matches!(s.outcome, Outcome::Calibrated(_));
     let headline = match &s.outcome {
         Outcome::Refused(..) => "No angle",
@@ -126,7 +129,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     Ok(Report {
         title: title(&s),
         headline: headline.to_owned(),
-        verdict,
+        verdict: Some(verdict),
         needle: measured.map(|m| sources::needle(m, s.angle_source, robot)),
         picture: match alone {
             true => None,
@@ -136,10 +139,8 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
             let scanned = s.outcome.scanned()?;
             sources::scene_refused(scanned, &camera)
         }),
-        calibration: Some(Calibration {
-            checked,
-            ..sources::calibration(s.calibration, findings, scan)
-        }),
+        calibration: Some(sources::calibration(s.calibration, &calibrations, scan)),
+        checks,
         stripes: match alone {
             true => Vec::new(),
             false => sources::stripes(s.session, ambient, measured, s.times)?,
@@ -148,6 +149,15 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         truth: s.truth,
         provenance: sources::provenance(&folder.display().to_string(), s.settings, s.times),
     })
+}
+
+/// The part whose checks stand in the calibration's section too.
+const CALIBRATION: &str = "calibration";
+
+/// What refuses, as checks.
+fn refusals<'a>(part: &'a str, reasons: &'a [String]) -> impl Iterator<Item = Check> + 'a {
+    let refused = move |words: &String| Check::refusal(format!("{part}: refused"), words);
+    checks::of(part, reasons.iter().map(refused))
 }
 
 /// What the report is about: which hand, when, where recorded.

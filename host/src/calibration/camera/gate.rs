@@ -1,7 +1,8 @@
 //! The gate of the camera calibration: which views do not fit, and what a set of views lacks.
 
 use crate::board::Corner;
-use crate::calibration::finding::{Cause, Finding, Severity};
+use crate::calibration::finding::{Cause, Finding, Gate, Severity};
+use crate::checks::Limit;
 use crate::geometry::{Camera, Homography, PARAMETERS, Pose, Vector2, Vector3};
 use nalgebra::SMatrix;
 
@@ -22,6 +23,9 @@ const WARN_FOCAL: f64 = 0.002;
 const REFUSE_RMS_PX: f64 = 5.0;
 /// And at which something is wrong.
 const WARN_RMS_PX: f64 = 1.0;
+
+/// fx over fy that a sensor's pixels can give.
+const RATIO: [f64; 2] = [0.9, 1.1];
 
 /// Which views' corners are a plane's image at all: the residuals of a homography, which a lens
 /// bends by a few pixels and a wrong order of corners by many.
@@ -96,21 +100,21 @@ pub struct Evidence<'a> {
 }
 
 /// Everything that is lacking or odd.
-pub fn examine(evidence: &Evidence) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    views(evidence, &mut findings);
-    geometry(evidence, &mut findings);
-    coverage(evidence, &mut findings);
-    lens(evidence, &mut findings);
-    findings
+pub fn examine(evidence: &Evidence) -> Gate {
+    let mut gate = Gate::default();
+    views(evidence, &mut gate);
+    geometry(evidence, &mut gate);
+    coverage(evidence, &mut gate);
+    lens(evidence, &mut gate);
+    gate
 }
 
-fn views(e: &Evidence, findings: &mut Vec<Finding>) {
+fn views(e: &Evidence, gate: &mut Gate) {
     let in_use = || e.used.iter().zip(e.view_scale).filter(|&(&u, _)| u);
     let middle = median(in_use().map(|(_, &s)| s));
     for (i, &used) in e.used.iter().enumerate() {
         if !used {
-            findings.push(Finding {
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::BadView,
                 view: Some(i),
@@ -121,7 +125,7 @@ fn views(e: &Evidence, findings: &mut Vec<Finding>) {
                 advice: "take it again with the board flat, still and sharp".into(),
             });
         } else if e.view_scale[i] > ODD_VIEW * middle {
-            findings.push(Finding {
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::BadView,
                 view: Some(i),
@@ -134,9 +138,22 @@ fn views(e: &Evidence, findings: &mut Vec<Finding>) {
             });
         }
     }
+    let odd = in_use().map(|(_, &s)| s / middle).fold(0.0, f64::max);
+    gate.holds(
+        "camera: residuals of the worst view over the median view’s",
+        odd,
+        Limit::AtMost(ODD_VIEW),
+        "",
+    );
     let left_out = e.used.iter().filter(|&&u| !u).count();
+    gate.holds(
+        "camera: views left out, as they do not fit the others",
+        left_out as f64,
+        Limit::AtMost(0.0),
+        "",
+    );
     if 3 * left_out > e.used.len() {
-        findings.push(Finding {
+        gate.findings.push(Finding {
             severity: Severity::Refuse,
             cause: Cause::BadView,
             view: None,
@@ -144,8 +161,14 @@ fn views(e: &Evidence, findings: &mut Vec<Finding>) {
             advice: "check the board's counts of columns and rows, and that it is flat".into(),
         });
     }
-    if e.rms_px > WARN_RMS_PX {
-        findings.push(Finding {
+    let fits = gate.holds(
+        "camera: corners off the fitted boards, RMS",
+        e.rms_px,
+        Limit::AtMost(WARN_RMS_PX),
+        "px",
+    );
+    if !fits {
+        gate.findings.push(Finding {
             severity: if e.rms_px > REFUSE_RMS_PX {
                 Severity::Refuse
             } else {
@@ -163,7 +186,7 @@ fn views(e: &Evidence, findings: &mut Vec<Finding>) {
     }
 }
 
-fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
+fn geometry(e: &Evidence, gate: &mut Gate) {
     let normals: Vec<Vector3> = e
         .poses
         .iter()
@@ -181,8 +204,20 @@ fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
     let focal = e.covariance.map_or(f64::INFINITY, |c| {
         (c[(0, 0)].sqrt() / e.camera.fx).max(c[(1, 1)].sqrt() / e.camera.fy)
     });
+    let tilted = gate.holds(
+        "camera: largest angle between two boards",
+        spread,
+        Limit::AtLeast(LITTLE_TILT_DEG),
+        "°",
+    );
+    let known = gate.holds(
+        "camera: σ of the focal length",
+        100.0 * focal,
+        Limit::AtMost(100.0 * WARN_FOCAL),
+        "%",
+    );
     if spread < PARALLEL_DEG {
-        findings.push(Finding {
+        gate.findings.push(Finding {
             severity: Severity::Refuse,
             cause: Cause::ParallelViews,
             view: None,
@@ -192,7 +227,7 @@ fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
             advice: "tilt the board by 20° to 40° to different sides".into(),
         });
     } else if !(focal < REFUSE_FOCAL) {
-        findings.push(Finding {
+        gate.findings.push(Finding {
             severity: Severity::Refuse,
             cause: Cause::UncertainFocalLength,
             view: None,
@@ -203,8 +238,8 @@ fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
             advice: "add views with the board tilted by 20° to 40° to different sides".into(),
         });
     } else {
-        if spread < LITTLE_TILT_DEG {
-            findings.push(Finding {
+        if !tilted {
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::LittleTilt,
                 view: None,
@@ -212,8 +247,8 @@ fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
                 advice: "tilt the board by 20° to 40° to different sides".into(),
             });
         }
-        if focal > WARN_FOCAL {
-            findings.push(Finding {
+        if !known {
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::UncertainFocalLength,
                 view: None,
@@ -224,7 +259,7 @@ fn geometry(e: &Evidence, findings: &mut Vec<Finding>) {
     }
 }
 
-fn coverage(e: &Evidence, findings: &mut Vec<Finding>) {
+fn coverage(e: &Evidence, gate: &mut Gate) {
     let size = [f64::from(e.camera.width), f64::from(e.camera.height)];
     let mut seen = [[false; 3]; 3];
     for (view, _) in e.views.iter().zip(e.used).filter(|&(_, &u)| u) {
@@ -242,8 +277,14 @@ fn coverage(e: &Evidence, findings: &mut Vec<Finding>) {
         .filter(|i| !seen[i / 3][i % 3])
         .map(|i| NAMES[i / 3][i % 3])
         .collect();
-    if !missing.is_empty() {
-        findings.push(Finding {
+    let covered = gate.holds(
+        "camera: ninths of the image with a corner in them",
+        9.0 - missing.len() as f64,
+        Limit::AtLeast(9.0),
+        "",
+    );
+    if !covered {
+        gate.findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::Coverage,
             view: None,
@@ -256,7 +297,7 @@ fn coverage(e: &Evidence, findings: &mut Vec<Finding>) {
     }
 }
 
-fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
+fn lens(e: &Evidence, gate: &mut Gate) {
     let camera = e.camera;
     let (w, h) = (
         f64::from(camera.width) - 1.0,
@@ -274,8 +315,11 @@ fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
     ]
     .into_iter()
     .any(|(u, v)| camera.ray(&Vector2::new(u, v)).is_none());
-    if folded {
-        findings.push(Finding {
+    if !gate.is(
+        "camera: the distortion can be inverted up to the border",
+        !folded,
+    ) {
+        gate.findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::FoldedDistortion,
             view: None,
@@ -284,8 +328,8 @@ fn lens(e: &Evidence, findings: &mut Vec<Finding>) {
         });
     }
     let ratio = camera.fx / camera.fy;
-    if !(0.9..1.1).contains(&ratio) {
-        findings.push(Finding {
+    if !gate.holds("camera: fx over fy", ratio, Limit::Between(RATIO), "") {
+        gate.findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::AspectRatio,
             view: None,
@@ -329,6 +373,10 @@ pub fn limits() -> Vec<(&'static str, String)> {
         ),
         ("camera: named at residuals of", format!("{WARN_RMS_PX} px")),
         ("camera: fewest views", super::LEAST_VIEWS.to_string()),
+        (
+            "camera: named if fx over fy is outside",
+            format!("{} to {}", RATIO[0], RATIO[1]),
+        ),
     ];
     all.extend(crate::calibration::corners::limits());
     all

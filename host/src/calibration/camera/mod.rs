@@ -13,6 +13,7 @@ use super::finding::{Finding, Severity, refusals};
 use super::solve::{Block, Problem, Stop, minimise};
 use super::{plane_pose, zhang};
 use crate::board::{BoardGeometry, Corner};
+use crate::checks::Check;
 use crate::geometry::{Camera, Homography, PARAMETERS, Pose, Vector2};
 use nalgebra::SMatrix;
 
@@ -43,6 +44,8 @@ pub struct CameraCalibration {
     pub variance_factor: f64,
     /// What the gate has to say; nothing of [`Severity::Refuse`] in what is given as good.
     pub findings: Vec<Finding>,
+    /// Every check that the gate made.
+    pub checks: Vec<Check>,
 }
 
 /// Why a camera can't be calibrated from these views.
@@ -350,7 +353,7 @@ fn finish(
         view_rms_px.push(residuals(&[view], &camera, &[pose], 1.0).rms_px());
         poses.push(pose);
     }
-    let findings = gate::examine(&gate::Evidence {
+    let gate = gate::examine(&gate::Evidence {
         camera: &camera,
         covariance: solved.covariance.as_ref(),
         poses: &poses,
@@ -360,7 +363,7 @@ fn finish(
         view_rms_px: &view_rms_px,
         rms_px: solved.rms_px,
     });
-    let refused = findings.iter().any(|f| f.severity == Severity::Refuse);
+    let refused = gate.findings.iter().any(|f| f.severity == Severity::Refuse);
     let found = CameraCalibration {
         camera,
         covariance: solved.covariance.unwrap_or_default(),
@@ -369,7 +372,8 @@ fn finish(
         view_rms_px,
         rms_px: solved.rms_px,
         variance_factor: solved.variance_factor,
-        findings,
+        findings: gate.findings,
+        checks: gate.checks,
     };
     match solved.covariance {
         _ if refused => Err(CameraError::Refused(

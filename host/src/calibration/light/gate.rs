@@ -5,8 +5,9 @@ use super::Options;
 use super::check::{Report, Solution};
 use super::strand::Strand;
 use crate::board::BoardGeometry;
-use crate::calibration::finding::{Cause, Finding, Severity};
+use crate::calibration::finding::{Cause, Finding, Gate, Severity};
 use crate::calibration::{Covariance, PARAMETERS};
+use crate::checks::Limit;
 use crate::geometry::{PARAMETERS as CAMERA, Vector3, tangent_basis};
 use nalgebra::Vector4;
 
@@ -22,6 +23,12 @@ const EXCESS: (f64, f64) = (0.02, 0.005);
 const PLANE_SIGMA_MM: (f64, f64) = (0.3, 0.1);
 /// Hold-out error: refused, named, mm.
 const HOLD_OUT_MM: (f64, f64) = (1.0, 0.2);
+/// Board poses that show the stripe: fewer are named.
+const FEW_POSES: f64 = 4.0;
+/// χ² and angle beyond which a position's own plane is named as turned against the common normal.
+const TURNED_CHI2: f64 = 50.0;
+/// See [`TURNED_CHI2`], degrees.
+const TURNED_DEG: f64 = 0.2;
 /// A stripe with fewer of its centres near its plane is not where its position puts it.
 const LEAST_USED: f64 = 0.3;
 
@@ -35,16 +42,16 @@ pub(super) struct Evidence<'a> {
     pub options: Options,
 }
 
-pub(super) fn examine(e: &Evidence) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    travel(e, &mut findings);
-    certainty(e, &mut findings);
-    stripes(e, &mut findings);
-    planes(e, &mut findings);
-    findings
+pub(super) fn examine(e: &Evidence) -> Gate {
+    let mut gate = Gate::default();
+    travel(e, &mut gate);
+    certainty(e, &mut gate);
+    stripes(e, &mut gate);
+    planes(e, &mut gate);
+    gate
 }
 
-fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
+fn travel(e: &Evidence, gate: &mut Gate) {
     if !e.solution.travels {
         return;
     }
@@ -53,9 +60,15 @@ fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
     let within = |angle: f64, excess: f64| {
         let least = (expected + angle).min(std::f64::consts::FRAC_PI_2).cos();
         let most = (expected - angle).max(0.0).cos();
-        (least - excess..=most + excess).contains(&a)
+        Limit::Between([least - excess, most + excess])
     };
-    let refuse = !within(ANGLE.0, EXCESS.0);
+    let refuse = !within(ANGLE.0, EXCESS.0).holds(a);
+    let usual = gate.holds(
+        "light planes: |a|, their travel over the slide’s",
+        a,
+        within(ANGLE.1, EXCESS.1),
+        "",
+    );
     if refuse {
         let near = |unit: f64| (a / unit).ln().abs() < 0.3;
         let guess = if near(1000.0) {
@@ -73,15 +86,15 @@ fn travel(e: &Evidence, findings: &mut Vec<Finding>) {
                 e.board.square_mm
             )
         };
-        findings.push(Finding {
+        gate.findings.push(Finding {
             severity: Severity::Refuse,
             cause: Cause::TravelUnit,
             view: None,
             what: format!("the light plane moves by {a:.4} mm for each mm of the slide: {guess}"),
             advice: "give the positions in mm and the square's true size, or the angle between travel and light plane if the rig is built with one".into(),
         });
-    } else if !within(ANGLE.1, EXCESS.1) {
-        findings.push(Finding {
+    } else if !usual {
+        gate.findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::ObliqueTravel,
             view: None,
@@ -115,12 +128,18 @@ fn plane_sigma(e: &Evidence) -> f64 {
     (j.transpose() * c * j)[0].sqrt()
 }
 
-fn certainty(e: &Evidence, findings: &mut Vec<Finding>) {
+fn certainty(e: &Evidence, gate: &mut Gate) {
     debug_assert_eq!(CAMERA + 4, PARAMETERS);
     let sigma = plane_sigma(e);
     let (refuse, warn) = PLANE_SIGMA_MM;
-    if !(sigma < warn) {
-        findings.push(Finding {
+    let known = gate.holds(
+        "light planes: σ in the middle of the calibrated volume",
+        sigma,
+        Limit::AtMost(warn),
+        "mm",
+    );
+    if !known {
+        gate.findings.push(Finding {
             severity: if sigma < refuse {
                 Severity::Warn
             } else {
@@ -132,8 +151,14 @@ fn certainty(e: &Evidence, findings: &mut Vec<Finding>) {
             advice: "add board poses: nearer and farther, tilted to different sides".into(),
         });
     }
-    if e.solution.poses.len() < 4 {
-        findings.push(Finding {
+    let poses = gate.holds(
+        "light planes: board poses that show the stripe",
+        e.solution.poses.len() as f64,
+        Limit::AtLeast(FEW_POSES),
+        "",
+    );
+    if !poses {
+        gate.findings.push(Finding {
             severity: Severity::Warn,
             cause: Cause::TooFewPoints,
             view: None,
@@ -143,13 +168,13 @@ fn certainty(e: &Evidence, findings: &mut Vec<Finding>) {
     }
 }
 
-fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
-    let mut bad = 0;
+fn stripes(e: &Evidence, gate: &mut Gate) {
+    let mut bad = 0_u32;
     for (k, strand) in e.strands.iter().enumerate() {
         let used = e.report.strand_used[k];
         if used < LEAST_USED {
             bad += 1;
-            findings.push(Finding {
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::BadStripe,
                 view: Some(strand.view),
@@ -165,8 +190,14 @@ fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
             });
         }
     }
-    if 4 * bad > e.strands.len() {
-        findings.push(Finding {
+    gate.holds(
+        "light planes: stripes off their plane",
+        f64::from(bad),
+        Limit::AtMost(0.0),
+        "",
+    );
+    if 4 * bad as usize > e.strands.len() {
+        gate.findings.push(Finding {
             severity: Severity::Refuse,
             cause: Cause::BadStripe,
             view: None,
@@ -179,10 +210,11 @@ fn stripes(e: &Evidence, findings: &mut Vec<Finding>) {
     }
 }
 
-fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
+fn planes(e: &Evidence, gate: &mut Gate) {
+    let mut turned = 0_u32;
     for (plane, &chi2) in e.report.planes.iter().zip(&e.report.disagreement) {
         if plane.points == 0 {
-            findings.push(Finding {
+            gate.findings.push(Finding {
                 severity: Severity::Refuse,
                 cause: Cause::PlaneDisagrees,
                 view: None,
@@ -199,8 +231,9 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
             .normal
             .angle(&e.solution.rig.light.normal)
             .to_degrees();
-        if chi2 > 50.0 && angle > 0.2 {
-            findings.push(Finding {
+        if chi2 > TURNED_CHI2 && angle > TURNED_DEG {
+            turned += 1;
+            gate.findings.push(Finding {
                 severity: Severity::Warn,
                 cause: Cause::PlaneDisagrees,
                 view: None,
@@ -212,10 +245,22 @@ fn planes(e: &Evidence, findings: &mut Vec<Finding>) {
             });
         }
     }
+    gate.holds(
+        "light planes: positions turned against the common normal",
+        f64::from(turned),
+        Limit::AtMost(0.0),
+        "",
+    );
     let worst = e.report.hold_out_mm.iter().copied().fold(0.0, f64::max);
     let (refuse, warn) = HOLD_OUT_MM;
-    if worst > warn {
-        findings.push(Finding {
+    let predicted = gate.holds(
+        "light planes: largest hold-out error",
+        worst,
+        Limit::AtMost(warn),
+        "mm",
+    );
+    if !predicted {
+        gate.findings.push(Finding {
             severity: if worst > refuse {
                 Severity::Refuse
             } else {
@@ -252,6 +297,14 @@ pub fn limits() -> Vec<(&'static str, String)> {
         (
             "light planes: least part of a stripe used",
             format!("{} %", 100.0 * LEAST_USED),
+        ),
+        (
+            "light planes: named with fewer board poses than",
+            FEW_POSES.to_string(),
+        ),
+        (
+            "light planes: a position’s own plane named as turned beyond",
+            format!("χ² of {TURNED_CHI2} and {TURNED_DEG}°"),
         ),
     ];
     all.extend(super::strand::limits());

@@ -361,7 +361,7 @@ pub fn calibrate(
         travels,
     };
     let report = check::check(&solution, &mut strands, &begun.0, &begun.1)?;
-    let findings = gate::examine(&gate::Evidence {
+    let gate = gate::examine(&gate::Evidence {
         solution: &solution,
         covariance: &covariance,
         report: &report,
@@ -369,7 +369,7 @@ pub fn calibrate(
         board,
         options,
     });
-    let refused = findings.iter().any(|f| f.severity == Severity::Refuse);
+    let refused = gate.findings.iter().any(|f| f.severity == Severity::Refuse);
     let found = LightCalibration {
         model: rig.light,
         travels,
@@ -392,7 +392,8 @@ pub fn calibrate(
             stripe_px: noise.stripe.sqrt(),
         },
         poses: poses.split_off(own),
-        findings,
+        findings: gate.findings,
+        checks: gate.checks,
     };
     if refused {
         return Err(LightError::Refused(found.findings.clone(), Box::new(found)));

@@ -137,6 +137,8 @@ pub struct LightCalibration {
     pub noise: NoiseLevels,
     /// What the gate has to say; nothing that refuses.
     pub findings: Vec<Finding>,
+    /// Every check that the gate made.
+    pub checks: Vec<crate::checks::Check>,
 }
 
 /// Why the light planes can't be calibrated.

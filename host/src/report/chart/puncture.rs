@@ -15,7 +15,11 @@ pub fn forces(p: &Puncture) -> Plot {
             .enumerate()
             .map(|(i, r)| {
                 let points = r.curve.iter().map(|c| (c[0], c[1])).collect();
-                Series::new(&format!("{:.0}°", r.angle_deg), i, Kind::Line, points)
+                let name = match p.given_deg {
+                    Some(given) if given == r.angle_deg => format!("{given}° (given)"),
+                    _ => format!("{}°", r.angle_deg),
+                };
+                Series::new(&name, i, Kind::Line, points)
             })
             .chain(p.runs.iter().enumerate().map(|(i, r)| {
                 // The force at each puncture, on its curve.
@@ -45,7 +49,7 @@ pub fn force_by_layer(r: &PunctureRun) -> Plot {
     };
     Plot {
         title: format!(
-            "Force by layer at {:.0}° (Figure 26): {}",
+            "Force by layer at {}° (Figure 26): {}",
             r.angle_deg,
             r.model.words()
         ),
@@ -89,7 +93,16 @@ pub fn force_over_angle(p: &Puncture) -> Plot {
         x_label: "angle / °".into(),
         y_label: "peak force / N".into(),
         series,
-        marks: vec![(p.angle_deg, "decided".into())],
+        marks: match p.given_deg {
+            None => vec![(p.angle_deg, "decided".into())],
+            Some(given) if given == p.angle_deg => {
+                vec![(given, "given; the criterion’s too".into())]
+            }
+            Some(given) => vec![
+                (given, "given".into()),
+                (p.angle_deg, "the criterion’s, not used".into()),
+            ],
+        },
         ..Plot::default()
     }
 }

@@ -84,8 +84,8 @@ fn findings(c: &Calibration) -> Markup {
     html! {
         h3 { "What is weak, and what to do" }
         @if !c.findings.is_empty() { ul { @for f in &c.findings { li { (f) } } } }
-        @else if c.checked.is_empty() { p { "Nothing was checked." } }
-        @else { p { "Nothing that was checked is weak: " (c.checked.join(", ")) ". The limits stand under Provenance." } }
+        @else if c.checked == 0 { p { "Nothing was checked." } }
+        @else { p { "Nothing: all " (c.checked) " checks of it are sound. They stand under Checks, with value and limit." } }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The page: head, top, and the sections in order.
 
 mod calibration;
+mod checks;
 mod needle;
 mod provenance;
 mod puncture;
@@ -38,6 +39,7 @@ pub fn render(report: &Report) -> String {
                     @if let Some(c) = &report.calibration { (calibration::section(c)) }
                     (needle::stripes(&report.stripes))
                     @if let Some(p) = &report.puncture { (puncture::section(p)) }
+                    (checks::section(&report.checks))
                     (provenance::section(&report.provenance))
                 }
                 @if report.scene.is_some() { script { (PreEscaped(VIEWER)) } }

@@ -26,9 +26,20 @@ fn angle(n: &Needle) -> Markup {
     html! {
         p.angle {
             (number(n.angle_deg, 1)) "°"
-            small { " ± " (number(n.angle_sigma_deg, 2)) "° (1 σ)" }
+            small {
+                " ± " (number(n.angle_sigma_deg, 2)) "° measured (1 σ), "
+                @match n.inner_angle_deg {
+                    Some(inner) => { "± " (number((inner - n.angle_deg).abs(), 2)) "° by the region’s radius" },
+                    None => "the radius’s part unknown",
+                }
+            }
         }
-        p.soft { "needle to the plane of the skin at the entry; wanted angle from " (n.angle_source) ", ± what the measured plane leaves open." }
+        p.soft {
+            "Needle to the plane of the skin at the entry; wanted angle from " (n.angle_source) ". "
+            @if let Some(inner) = n.inner_angle_deg {
+                "A hand is no plane: to the one fitted within " (number(0.5 * n.radius_mm, 1)) " mm of the entry, rather than " (number(n.radius_mm, 1)) " mm, the same needle stands at " (number(inner, 2)) "°. That part is systematic: no repetition makes it smaller."
+            }
+        }
     }
 }
 
@@ -70,7 +81,6 @@ fn details(n: &Needle) -> Markup {
             @if let Some(s) = n.axis_sigma_deg { "Axis: σ " (number(s, 3)) "°. " }
             "Plane fitted to " (n.region_points) " points within " (number(n.radius_mm, 1))
             " mm of the entry, RMS distance " (number(n.region_rms_mm, 3)) " mm, as of a cylinder of " (number(n.bend_mm, 0)) " mm radius."
-            @if let Some(inner) = n.inner_angle_deg { " To the plane of half that radius the same needle stands at " (number(inner, 2)) "°." }
         }
     }
 }

@@ -10,7 +10,14 @@ use maud::{Markup, html};
 pub fn section(p: &Puncture) -> Markup {
     html! {
         h2 { "Puncture" }
-        p { "Angle by the criterion «" (p.criterion) "»: " strong { (number(p.angle_deg, 1)) "°" } "." }
+        @match p.given_deg {
+            None => p { "Angle by the criterion «" (p.criterion) "»: " strong { (number(p.angle_deg, 1)) "°" } "." },
+            Some(given) => p {
+                "Angle given by hand: " strong { (number(given, 1)) "°" } ". "
+                @if given == p.angle_deg { "The criterion «" (p.criterion) "» would have given the same." }
+                @else { "By the criterion «" (p.criterion) "» it would have been " (number(p.angle_deg, 1)) "°; that was not used." }
+            },
+        }
         @for s in &p.sentences { p { (s) } }
         @if !p.curves.is_empty() { p.soft { (p.curves) } }
         div.charts {

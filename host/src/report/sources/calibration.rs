@@ -1,16 +1,13 @@
 //! The calibration's section.
 
+use crate::checks::{Check, sentences};
 use crate::output::{CalibrationFile, LightFile, ViewFile, age, age_at_scan};
 use crate::report::model::{self, BoardView, Calibration, Position};
 use jiff::Timestamp;
 
 /// What the report shows of a calibration: what its file tells, whether it was made in the same run
-/// or long ago. `findings` are what is weak; `scan` is when that was recorded.
-pub fn calibration(
-    f: &CalibrationFile,
-    findings: Vec<String>,
-    scan: Option<Timestamp>,
-) -> Calibration {
+/// or long ago. `checks` are those that were made of it; `scan` is when that was recorded.
+pub fn calibration(f: &CalibrationFile, checks: &[Check], scan: Option<Timestamp>) -> Calibration {
     let light = f.light.as_ref();
     let sigma = |i: usize| {
         let row = f.covariance.as_ref()?.get(i)?;
@@ -55,8 +52,8 @@ pub fn calibration(
             .flat_map(|l| &l.figure_14)
             .map(|r| (r.slide_mm, r.before_mm, r.after_mm))
             .collect(),
-        findings,
-        checked: Vec::new(),
+        findings: sentences(checks),
+        checked: checks.len(),
         made: age(f).map(|then| age_at_scan(then, scan, Timestamp::now())),
         method: match f.method.as_deref() {
             Some("ml") => "maximum likelihood".into(),
@@ -64,43 +61,6 @@ pub fn calibration(
             _ => "not known".into(),
         },
     }
-}
-
-/// What [`crate::output::all_doubts`] and the calibration itself, when it was made, could look at:
-/// what the file carries. `measured` is whether a needle was found with it.
-pub fn checked(f: &CalibrationFile, measured: bool) -> Vec<String> {
-    let light = f.light.as_ref();
-    let some = |words: &str, is: bool| is.then(|| words.to_owned());
-    let sigma = f.covariance.is_some();
-    [
-        some("age", age(f).is_some()),
-        some("RMS residual of the corners", true),
-        some(
-            "coverage, tilts and residuals of the views",
-            !f.camera.views.is_empty(),
-        ),
-        some(
-            "residuals of the stripes",
-            light.is_some_and(|l| l.stripe_rms_px.is_some()),
-        ),
-        some(
-            "hold-out of the planes",
-            light.is_some_and(|l| l.hold_out_error_mm.is_some()),
-        ),
-        some(
-            "planes against the travel",
-            light.is_some_and(|l| l.hold_out_error_mm.is_none() && l.offset_error_mm.is_some()),
-        ),
-        some("σ of the focal length", sigma),
-        some("σ of the planes", sigma && light.is_some()),
-        some(
-            "what it leaves open of the needle found with it",
-            sigma && measured,
-        ),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
 }
 
 fn positions(l: &LightFile, travel: Option<(f64, f64)>) -> Vec<Position> {

@@ -5,7 +5,7 @@ use crate::cloud::CloudPoint;
 use crate::geometry::{Camera, Point3, Vector2, Vector3, tangent_basis};
 use crate::needle::Decision;
 use crate::pipeline::{Measurement, Scanned};
-use crate::report::model::{Frame, Needle, Scene, SceneNeedle, Verdict};
+use crate::report::model::{Frame, Needle, Scene, SceneNeedle};
 
 /// Radius of the needle in the view, mm: 22G.
 const NEEDLE_RADIUS_MM: f64 = 0.36;
@@ -52,16 +52,6 @@ fn frame(
         normal: three(&turn(&d.plane.normal)),
         vein: three(&turn(&d.direction)),
         axis: three(&turn(&d.needle.axis)),
-    }
-}
-
-/// A measurement that stands was not refused; its warnings (the calibration's among them) are what
-/// is weak.
-pub fn verdict(m: &Measurement) -> Verdict {
-    Verdict {
-        usable: true,
-        reasons: Vec::new(),
-        warnings: m.warnings.clone(),
     }
 }
 

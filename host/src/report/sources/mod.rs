@@ -6,9 +6,9 @@ mod measurement;
 mod picture;
 mod puncture;
 
-pub use calibration::{calibration, checked};
+pub use calibration::calibration;
 pub use decision::{decided, punctured, with_reference};
-pub use measurement::{needle, scene, scene_refused, verdict};
+pub use measurement::{needle, scene, scene_refused};
 pub use picture::{ambient, picture, stripe_middle, stripe_sample, stripes};
 pub use puncture::puncture_folder;
 
