@@ -126,6 +126,56 @@ fn a_refused_calibration_shows_what_there_is() {
     let page = std::fs::read_to_string(dir.path().join("rig.html")).unwrap();
     assert!(page.contains("No calibration") && !file.exists());
     assert!(weak(&page).contains("squares are"));
+    assert!(!page.contains("earlier run's"));
+}
+
+/// A refused calibration leaves an earlier file as it is, and its page says whose it is; `process`,
+/// whose folder is one run's, puts it aside.
+#[test]
+fn a_refused_calibration_is_not_mistaken_for_the_earlier_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = recording(&dir.path().join("good"), |_| ());
+    let bad = recording(&dir.path().join("bad"), |m| {
+        m.board.as_mut().unwrap().square_mm *= 2.0;
+    });
+    let out = dir.path().join("out");
+    let file = out.join("calibration.json");
+    let (to, path) = (out.display().to_string(), file.display().to_string());
+    assert_eq!(run(&["calibrate", &good, "--out", &path]), 0);
+    let made = std::fs::read(&file).unwrap();
+    assert_eq!(run(&["calibrate", &bad, "--out", &path]), 1);
+    assert_eq!(std::fs::read(&file).unwrap(), made, "untouched");
+    let page = std::fs::read_to_string(out.join("calibration.html")).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&made).unwrap();
+    let time = json["provenance"]["time"].as_str().unwrap();
+    let time = time.replace('T', " ").replace('Z', " UTC");
+    let words =
+        format!("{path} of {time} is an earlier run's calibration, from the recording {good}");
+    assert!(top(&page).0.contains(&words), "{}", top(&page).0);
+    assert!(page.contains("No calibration"));
+    assert_eq!(run(&["process", &bad, "--out", &to]), 1);
+    assert!(!file.exists());
+    assert_eq!(
+        std::fs::read(out.join("calibration-before.json")).unwrap(),
+        made
+    );
+    let head = top(&std::fs::read_to_string(out.join("report.html")).unwrap()).0;
+    assert!(
+        head.contains("put aside as calibration-before.json"),
+        "{head}"
+    );
+    // A given calibration is an input: it stays, whatever is refused.
+    let given = dir.path().join("given.json");
+    std::fs::copy(out.join("calibration-before.json"), &given).unwrap();
+    std::fs::copy(&given, &file).unwrap();
+    let off = recording(&dir.path().join("off"), |m| {
+        m.entry.as_mut().unwrap().pixel = [2.0, 2.0];
+    });
+    assert_eq!(
+        run(&["angle", &off, "--calibration", &path, "--out", &to]),
+        1
+    );
+    assert_eq!(std::fs::read(&file).unwrap(), made);
 }
 
 /// The calibration's list of what is weak.

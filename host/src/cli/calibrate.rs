@@ -2,7 +2,7 @@
 
 use super::Output;
 use super::job::{MethodName, calibration_text};
-use crate::output::{CalibrationFile, write_json};
+use crate::output::{CalibrationFile, moment, read_calibration, write_json};
 use crate::pipeline::{Stage, Times, calibrate};
 use crate::report;
 use crate::session::Session;
@@ -46,7 +46,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let calibrated = calibrate(&session, method, &times, out).inspect_err(|e| {
         // What there is, so that one sees why.
         let Some(found) = e.calibrated() else { return };
-        match report(&CalibrationFile::new(found, &session), vec![e.to_string()]) {
+        let reasons = [Some(e.to_string()), earlier(&args.out)];
+        let reasons = reasons.into_iter().flatten().collect();
+        match report(&CalibrationFile::new(found, &session), reasons) {
             Ok(()) => out.say(&format!("why, to be seen: {}", page.display())),
             Err(e) => out.error(&e),
         }
@@ -62,6 +64,26 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             page.display()
         )
     })
+}
+
+/// Where a calibration stands that this run does not replace: it must not be taken for this
+/// recording's.
+fn earlier(file: &Path) -> Option<String> {
+    let written = std::fs::metadata(file).ok()?.modified().ok();
+    let said = read_calibration(file).ok().and_then(|f| f.provenance);
+    let (time, session) = match said {
+        Some(p) => (
+            p.time.and_then(|t| t.parse().ok()),
+            format!(", from the recording {}", p.session),
+        ),
+        None => (None, String::new()),
+    };
+    let time: Option<jiff::Timestamp> = time.or_else(|| written?.try_into().ok());
+    let of = time.map_or(String::new(), |t| format!(" of {}", moment(t)));
+    Some(format!(
+        "{}{of} is an earlier run's calibration{session}: it was not replaced, and this page is not about it",
+        file.display()
+    ))
 }
 
 /// The report's place beside the calibration: its name with .html.

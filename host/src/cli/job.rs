@@ -314,6 +314,14 @@ impl Job<'_> {
                     "the result of an earlier run in this folder was put aside as result-before.json: do not use it for this hand".to_owned(),
                 );
             }
+            // A calibration that was refused in this run: an earlier one is not of this recording.
+            let calibration = self.folder.join("calibration.json");
+            if scanned.is_none() && self.provenance.calibration.is_none() && calibration.exists() {
+                std::fs::rename(&calibration, self.folder.join("calibration-before.json"))?;
+                reasons.push(
+                    "the calibration of an earlier run in this folder was put aside as calibration-before.json: it is not this recording's".to_owned(),
+                );
+            }
             for (file, written) in [
                 ("cloud.ply", scanned.is_some()),
                 ("cloud.xyz", scanned.is_some() && self.args.xyz),
