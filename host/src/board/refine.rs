@@ -59,11 +59,13 @@ pub(super) fn refine<P: Pixel>(
     board.finish()
 }
 
-/// Refines corners known to a pixel, in the order of [`BoardGeometry::point`], at a known blur, px.
+/// Refines corners known to a part of a pixel, in the order of [`BoardGeometry::point`], at a known
+/// blur, px, and about the noise given, grey.
 pub(super) fn again<P: Pixel>(
     image: &Image<P>,
     corners: &[Vector2],
     blur_px: f64,
+    noise: f64,
     geometry: &BoardGeometry,
 ) -> Result<Detection, NotFound> {
     let places = corners.iter().map(|&position| Place {
@@ -86,7 +88,9 @@ pub(super) fn again<P: Pixel>(
     if brightness < 0.0 {
         board.sign = -1.0;
     }
-    board.approach();
+    if !board.stand(blur_px.hypot(PIXEL), noise) {
+        board.approach();
+    }
     board.check()?;
     board.finish()
 }
@@ -225,6 +229,22 @@ impl<'a, P: Pixel> Board<'a, P> {
         } else {
             -self.sign
         }
+    }
+
+    /// Every site at its place with a blur of `sigma`, px, in place of a first fit; whether all show
+    /// what they should there.
+    fn stand(&mut self, sigma: f64, noise: f64) -> bool {
+        for i in 0..self.sites.len() {
+            let sign = self.expected_sign(i);
+            let [same, other] = self.diagonals(i);
+            let half = 0.5 * (same - other);
+            let site = &mut self.sites[i];
+            site.place(site.origin, sigma, 0.5 * (same + other), half);
+            site.rough = noise;
+            site.sound = half * sign > 0.0;
+        }
+        self.doubt();
+        self.sites.iter().all(|s| s.sound)
     }
 
     /// First fits on short edges for the corners that the search saw; then the others, and those
@@ -424,7 +444,7 @@ impl<'a, P: Pixel> Board<'a, P> {
                 let noise = Noise::uniform((0.15 * site.contrast() / 4.5).max(rough));
                 mask_foreign(site, &noise, true);
             }
-            let _ = site.fit(3, 0.03);
+            let _ = site.fit(5, 0.03);
         }
         self.bend();
         self.sites.iter_mut().for_each(Site::look);

@@ -178,7 +178,9 @@ impl Stack {
     ) -> Result<Detection, NotFound> {
         let origin = Vector2::new(self.origin.0 as f64, self.origin.1 as f64);
         let places: Vec<Vector2> = found.corners.iter().map(|c| c.pixel - origin).collect();
-        let again = refine::again(&self.mean(), &places, found.blur_px, geometry)?;
+        let [dark, bright] = found.quality.noise;
+        let noise = f64::from(self.scale) * dark.max(bright) / f64::from(self.images).sqrt();
+        let again = refine::again(&self.mean(), &places, found.blur_px, noise, geometry)?;
         let mut result = found.clone();
         for (corner, new) in result.corners.iter_mut().zip(&again.corners) {
             let pixel = new.pixel + origin;
