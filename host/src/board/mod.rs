@@ -19,7 +19,7 @@ pub mod subpixel;
 #[cfg(test)]
 mod tests;
 
-pub use stack::Stack;
+pub use stack::{Stack, Summable};
 
 use crate::geometry::{Matrix2, Point3, Vector2};
 use crate::image::{Image, Pixel};

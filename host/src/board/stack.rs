@@ -14,18 +14,59 @@ const STEPS: f32 = 64.0;
 /// Corners that move by more than this, px, are not those of the same pose.
 const MOST_MOVED: f64 = 0.5;
 
+/// Pixels that can be summed: in the fewest bits that hold [`Summable::MOST`] of them, since the time
+/// goes into memory.
+pub trait Summable: Pixel {
+    /// What holds a sum.
+    type Sum: Copy + Default + Send + std::fmt::Debug;
+    /// Most images of one stack.
+    const MOST: u32;
+    /// Factor from a pixel's units to the mean's.
+    const SCALE: f32;
+    /// `sum` and one more.
+    fn add(sum: Self::Sum, pixel: Self) -> Self::Sum;
+    /// The sum.
+    fn total(sum: Self::Sum) -> f32;
+}
+
+impl Summable for u8 {
+    type Sum = u16;
+    const MOST: u32 = 257;
+    const SCALE: f32 = STEPS;
+    #[inline(always)]
+    fn add(sum: u16, pixel: u8) -> u16 {
+        sum.wrapping_add(u16::from(pixel))
+    }
+    #[inline(always)]
+    fn total(sum: u16) -> f32 {
+        f32::from(sum)
+    }
+}
+
+impl Summable for u16 {
+    type Sum = u32;
+    const MOST: u32 = 65_537;
+    const SCALE: f32 = 1.0;
+    #[inline(always)]
+    fn add(sum: u32, pixel: u16) -> u32 {
+        sum.wrapping_add(u32::from(pixel))
+    }
+    #[inline(always)]
+    fn total(sum: u32) -> f32 {
+        sum as f32
+    }
+}
+
 /// The board's part of some images of one pose.
 #[derive(Clone, Debug)]
-pub struct Stack {
+pub struct Stack<P: Summable> {
     /// The part's first pixel.
     origin: (usize, usize),
     width: usize,
     height: usize,
-    sums: Vec<u32>,
+    sums: Vec<P::Sum>,
     images: u32,
     bands: Vec<Band>,
-    /// Factor from a pixel's units to the mean's.
-    scale: f32,
 }
 
 /// The pixels within `half` of the line n·p = c are left out of one image.
@@ -73,9 +114,9 @@ impl Band {
     }
 }
 
-impl Stack {
+impl<P: Summable> Stack<P> {
     /// Begins with the image in which the board was found.
-    pub fn new<P: Pixel>(image: &Image<P>, found: &Detection) -> Self {
+    pub fn new(image: &Image<P>, found: &Detection) -> Self {
         let side = AROUND * found.quality.square_px[1];
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::zeros());
         for corner in &found.corners {
@@ -96,25 +137,27 @@ impl Stack {
             origin: (u0, v0),
             width,
             height,
-            sums: vec![0; width * height],
+            sums: vec![P::Sum::default(); width * height],
             images: 0,
             bands: Vec::new(),
-            scale: if P::BITS <= 8 { STEPS } else { 1.0 },
         };
         stack.sum(image, None);
         stack
     }
 
     /// Adds an image of the same pose and size with a stripe along `points`, all but the pixels
-    /// within `away` px of it. A stripe without a line is not added.
-    pub fn add<P: Pixel>(&mut self, image: &Image<P>, points: &[Vector2], away: f64) {
-        if let Some(band) = Band::around(points, away) {
+    /// within `away` px of it. A stripe without a line is not added, nor is an image beyond
+    /// [`Summable::MOST`].
+    pub fn add(&mut self, image: &Image<P>, points: &[Vector2], away: f64) {
+        if self.images < P::MOST
+            && let Some(band) = Band::around(points, away)
+        {
             self.sum(image, Some(band));
             self.bands.push(band);
         }
     }
 
-    fn sum<P: Pixel>(&mut self, image: &Image<P>, band: Option<Band>) {
+    fn sum(&mut self, image: &Image<P>, band: Option<Band>) {
         let ((u0, v0), width) = (self.origin, self.width);
         widest(
             #[inline(always)]
@@ -130,9 +173,7 @@ impl Stack {
         );
         self.images += 1;
     }
-}
 
-impl Stack {
     /// The mean, in 64ths of an 8-bit grey or in the units of deeper pixels.
     fn mean(&self) -> Image<u16> {
         let mut pixels = vec![0; self.sums.len()];
@@ -152,13 +193,13 @@ impl Stack {
             let mut count = self.images as i32;
             for (factor, step) in factors.iter_mut().zip(&steps) {
                 count += step;
-                *factor = self.scale / count.max(1) as f32;
+                *factor = P::SCALE / count.max(1) as f32;
             }
             widest(
                 #[inline(always)]
                 || {
                     for ((out, sum), factor) in out.iter_mut().zip(sums).zip(&factors) {
-                        *out = (*sum as f32 * factor + 0.5) as i32 as u16;
+                        *out = (P::total(*sum) * factor + 0.5) as i32 as u16;
                     }
                 },
             );
@@ -179,7 +220,7 @@ impl Stack {
         let origin = Vector2::new(self.origin.0 as f64, self.origin.1 as f64);
         let places: Vec<Vector2> = found.corners.iter().map(|c| c.pixel - origin).collect();
         let [dark, bright] = found.quality.noise;
-        let noise = f64::from(self.scale) * dark.max(bright) / f64::from(self.images).sqrt();
+        let noise = f64::from(P::SCALE) * dark.max(bright) / f64::from(self.images).sqrt();
         let again = refine::again(&self.mean(), &places, found.blur_px, noise, geometry)?;
         let mut result = found.clone();
         for (corner, new) in result.corners.iter_mut().zip(&again.corners) {
@@ -200,8 +241,8 @@ impl Stack {
 }
 
 #[inline(always)]
-fn add_up<P: Pixel>(sums: &mut [u32], pixels: &[P]) {
+fn add_up<P: Summable>(sums: &mut [P::Sum], pixels: &[P]) {
     for (sum, pixel) in sums.iter_mut().zip(pixels) {
-        *sum += u32::from(pixel.to_u16());
+        *sum = P::add(*sum, *pixel);
     }
 }

@@ -4,14 +4,13 @@ use super::Method;
 use super::error::PipelineError;
 use super::times::{Stage, Times};
 use super::views::{Looker, Seen, Swept, light_view};
-use crate::board::{BoardGeometry, Corner};
+use crate::board::{BoardGeometry, Corner, Summable};
 use crate::calibration::camera::{self, CameraCalibration, CameraError};
 use crate::calibration::light::{self, CameraData, LightError, LightView, tables};
 use crate::calibration::loss::{self, Measures};
 use crate::calibration::{Covariance, Finding, LightModel, RigModel, Severity};
 use crate::checks::{Check, Limit};
 use crate::geometry::{Camera, Pose};
-use crate::image::Pixel;
 use crate::progress::Progress;
 use crate::session::{Depth, Session};
 use crate::stripe::paper;
@@ -105,7 +104,7 @@ pub fn calibrate(
     }
 }
 
-fn run<P: Pixel>(
+fn run<P: Summable>(
     session: &Session,
     method: Method,
     times: &Times,

@@ -3,7 +3,7 @@
 use super::error::PipelineError;
 use super::times::{Stage, Times};
 use super::{Method, calibration::Settings};
-use crate::board::{self, BoardGeometry, Corner, Detection, Stack};
+use crate::board::{self, BoardGeometry, Corner, Detection, Stack, Summable};
 use crate::calibration::light::{BoardStripe, LightView};
 use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
@@ -67,14 +67,14 @@ impl Looker<'_> {
     }
 
     /// One pose of `light`, its `on` images in parallel.
-    pub fn light<P: Pixel>(&self, pose: &LightPose) -> Result<Swept, PipelineError> {
+    pub fn light<P: Summable>(&self, pose: &LightPose) -> Result<Swept, PipelineError> {
         match &pose.off {
             Some(off) => self.with_off::<P>(pose, off),
             None => self.without_off::<P>(pose),
         }
     }
 
-    fn with_off<P: Pixel>(&self, pose: &LightPose, off: &str) -> Result<Swept, PipelineError> {
+    fn with_off<P: Summable>(&self, pose: &LightPose, off: &str) -> Result<Swept, PipelineError> {
         let (luma, laser) = self
             .times
             .time(Stage::Read, || self.session.both::<P>(off))?;
@@ -209,7 +209,7 @@ const GLOW: f64 = 10.0;
 const GLOW_PX: f64 = 4.0;
 
 /// Adds an image to a pose's stack, all but its stripe.
-fn pile<P: Pixel>(stack: &Mutex<Stack>, on: &Image<P>, points: &[StripePoint]) {
+fn pile<P: Summable>(stack: &Mutex<Stack<P>>, on: &Image<P>, points: &[StripePoint]) {
     let line: Vec<Vector2> = points.iter().map(|p| p.pixel).collect();
     let widest = points.iter().fold(0.0, |w: f32, p| w.max(p.width_px));
     if let Ok(mut stack) = stack.lock() {
