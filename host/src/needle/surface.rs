@@ -450,7 +450,8 @@ impl Surface {
     }
 }
 
-/// Nodes of one stripe (ascending in s) into the columns that it crosses.
+/// Nodes of one stripe (ascending in s) into the columns that it crosses; none where it breaks off or
+/// jumps to another surface, and no parabola across such a place.
 fn stripe_nodes(stripe: &[Local], step: f64, half: usize, smooth: f64, columns: &mut [Vec<Node>]) {
     if stripe.len() < 2 {
         return;
@@ -458,29 +459,41 @@ fn stripe_nodes(stripe: &[Local], step: f64, half: usize, smooth: f64, columns: 
     let mut gaps: Vec<f64> = stripe.windows(2).map(|p| p[1].s - p[0].s).collect();
     let middle = gaps.len() / 2;
     let spacing = *gaps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let widest = (3.0 * spacing).max(1.0);
+    let one = |p: &Local, q: &Local| q.s - p.s <= widest && (q.h - p.h).abs() <= 2.0 * widest;
+    for run in stripe.chunk_by(one) {
+        run_nodes(run, spacing, step, half, smooth, columns);
+    }
+}
+
+/// Nodes of an unbroken run of points, `spacing` mm apart.
+fn run_nodes(
+    run: &[Local],
+    spacing: f64,
+    step: f64,
+    half: usize,
+    smooth: f64,
+    columns: &mut [Vec<Node>],
+) {
     let window = smooth.max(2.0 * spacing);
     // The parabola's value at its middle is a mean over 8/9 of the window's half width.
     let mean_mm = 8.0 / 9.0 * window;
-    let widest = (3.0 * spacing).max(1.0);
     let (mut from, mut to) = (0, 0);
     for (j, column) in columns.iter_mut().enumerate() {
         let s = (j as f64 - half as f64) * step;
-        while from < stripe.len() && stripe[from].s < s - window {
+        while from < run.len() && run[from].s < s - window {
             from += 1;
         }
         to = to.max(from);
-        while to < stripe.len() && stripe[to].s <= s + window {
+        while to < run.len() && run[to].s <= s + window {
             to += 1;
         }
-        let right = stripe.partition_point(|p| p.s < s);
-        if right == 0 || right == stripe.len() {
+        let right = run.partition_point(|p| p.s < s);
+        if right == 0 || right == run.len() {
             continue;
         }
-        let (p, q) = (&stripe[right - 1], &stripe[right]);
-        if q.s - p.s > widest || (q.h - p.h).abs() > 2.0 * widest {
-            continue; // a break, or a jump to another surface
-        }
-        let near = &stripe[from..to];
+        let (p, q) = (&run[right - 1], &run[right]);
+        let near = &run[from..to];
         let f = if q.s > p.s {
             (s - p.s) / (q.s - p.s)
         } else {
