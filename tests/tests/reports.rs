@@ -489,12 +489,12 @@ fn provenance_tells_recording_calibration_commit_and_what_decided_the_angle() {
     };
     row("recording: sha256", all["sha256"].as_str().unwrap());
     row("puncture: setup: friction", "0.7");
-    row("puncture: setup: layers: skin mm", "1.0");
+    row("puncture: setup: layers: skin / mm", "1.0");
     row("puncture: setup: skin: law: c10", "0.5");
-    row("puncture: setup: needle: diameter mm", "0.72");
+    row("puncture: setup: needle: diameter / mm", "0.72");
     row("puncture: model", "fast model");
-    row("puncture: advance mm", "5.0");
-    row("puncture: clinical deg", "15.0, 30.0");
+    row("puncture: advance / mm", "5.0");
+    row("puncture: clinical / °", "15.0, 30.0");
     let stages = cannula::stripe::limits().into_iter();
     for (name, value) in stages.chain(cannula::stripe::hand::limits()) {
         row(name, &value);

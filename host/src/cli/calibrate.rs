@@ -34,6 +34,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         let sources = report::Sources {
             session: &session,
             calibration: file,
+            simulated: false,
             outcome: report::Outcome::Calibrated(refused),
             angle_source: "",
             settings,

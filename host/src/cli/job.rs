@@ -214,8 +214,8 @@ impl Job<'_> {
             });
         let scan = self.session.manifest.recorded.scan();
         let mut checks = all_checks(self.calibration, scan, now, Some(&m.decision.uncertainty));
-        if let Some(rig) = &self.provenance.rig {
-            let real = rig.camera.kind != CameraKind::Simulated;
+        if self.provenance.rig.is_some() {
+            let real = !self.simulated();
             checks.extend(of(
                 "rig",
                 [Check::is("camera: a real one", real).or(|| {
@@ -253,6 +253,12 @@ impl Job<'_> {
         // The result last: where it stands, all else stands.
         write_json(&self.folder.join("result.json"), &result)?;
         Ok(result)
+    }
+
+    /// Whether the camera is a simulated one, where the rig is known.
+    fn simulated(&self) -> bool {
+        let rig = self.provenance.rig.as_ref();
+        rig.is_some_and(|r| r.camera.kind == CameraKind::Simulated)
     }
 
     /// What it is measured with, the recording told by its digest: the scan's images, and the
@@ -368,6 +374,7 @@ impl Job<'_> {
         let page = report::assemble(report::Sources {
             session: self.session,
             calibration: self.calibration,
+            simulated: self.simulated(),
             outcome,
             angle_source: source.words(),
             settings: rows,

@@ -319,8 +319,10 @@ pub struct Puncture {
     pub sentences: Vec<String>,
     /// What the curves are, in a sentence.
     pub curves: String,
-    /// A row per angle, for and against.
+    /// A column per angle, for and against.
     pub decision: Table,
+    /// What speaks against each of them, a sentence an angle.
+    pub against: Vec<String>,
     /// Sensitivity to friction and toughness.
     pub sensitivity: Table,
 }

@@ -54,6 +54,8 @@ pub struct Sources<'a> {
     pub session: &'a Session,
     /// The calibration's file, whose camera measured.
     pub calibration: &'a CalibrationFile,
+    /// Whether the images are rendered ones, as far as that is known.
+    pub simulated: bool,
     /// The measured hand, or why there is none.
     pub outcome: Outcome<'a>,
     /// Where the angle comes from, in words.
@@ -166,6 +168,10 @@ fn title(s: &Sources) -> String {
     let (what, time) = match s.outcome {
         Outcome::Calibrated(_) => ("Calibration: board views", recorded.board.as_ref()),
         _ => ("Needle insertion: hand scan", recorded.scan.as_ref()),
+    };
+    let what = match s.simulated {
+        true => format!("Simulated, no real hand. {what}"),
+        false => what.to_owned(),
     };
     let date = time
         .and_then(|t| t.parse().ok())

@@ -21,7 +21,7 @@ pub fn view_rms(c: &Calibration) -> Plot {
             Series::new(
                 "all views",
                 1,
-                Kind::Dashed,
+                Kind::Dashes(6, 4),
                 vec![(0.4, c.rms_px), (c.views.len() as f64 + 0.6, c.rms_px)],
             ),
         ],

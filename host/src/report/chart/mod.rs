@@ -34,12 +34,12 @@ pub const PALETTE: [RGBColor; 6] = [
 ];
 
 /// How a series is drawn.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
     /// Joined points.
     Line,
-    /// Joined by dashes.
-    Dashed,
+    /// Joined by dashes of this length and this space between, px.
+    Dashes(i32, i32),
     /// Dots.
     Dots,
     /// Single small dots, for many points.
@@ -250,12 +250,14 @@ impl Plot {
                     .filter(|p| p.0.is_finite() && p.1.is_finite())
             };
             let style = colour.stroke_width(pen.px(2) as u32);
-            let dash = (pen.px(6), pen.px(4));
             match series.kind {
                 Kind::Line => chart.draw_series(LineSeries::new(points(), style))?,
-                Kind::Dashed => {
-                    chart.draw_series(DashedLineSeries::new(points(), dash.0, dash.1, style))?
-                }
+                Kind::Dashes(dash, space) => chart.draw_series(DashedLineSeries::new(
+                    points(),
+                    pen.px(dash),
+                    pen.px(space),
+                    style,
+                ))?,
                 Kind::Dots => chart
                     .draw_series(points().map(|p| Circle::new(p, pen.px(3), colour.filled())))?,
                 Kind::Points => chart
@@ -276,21 +278,35 @@ impl Plot {
             };
         }
         let inside = |at: f64| at >= x.0.min(x.1) && at <= x.0.max(x.1);
-        for (row, (at, word)) in self.marks.iter().filter(|m| inside(m.0)).enumerate() {
+        let mut marks: Vec<&(f64, String)> = self.marks.iter().filter(|m| inside(m.0)).collect();
+        marks.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Each word stands to the right of its line, the next one lower, and a line ends at its
+        // word: so none crosses another's word. Where one has no room there, all stand left of
+        // their lines, the last one highest.
+        let edge = chart.backend_coord(&(x.1, y.0)).0;
+        let style = pen.text(12);
+        let mut room = true;
+        for (at, word) in marks.iter().copied() {
+            let (wide, _) = area.estimate_text_size(word, &style)?;
+            room &= chart.backend_coord(&(*at, y.0)).0 + wide as i32 + pen.px(4) <= edge;
+        }
+        if !room {
+            marks.reverse();
+        }
+        let top = chart.backend_coord(&(x.0, y.1)).1;
+        let high = f64::from(chart.backend_coord(&(x.0, y.0)).1 - top);
+        for (row, (at, word)) in marks.into_iter().enumerate() {
+            let down = pen.px(2 + 15 * row as i32);
+            let end = y.1 - (y.1 - y.0) * f64::from(down) / high.max(1.0);
             chart.draw_series(std::iter::once(PathElement::new(
-                vec![(*at, y.0), (*at, y.1)],
+                vec![(*at, y.0), (*at, end)],
                 INK.mix(0.6).stroke_width(pen.px(1) as u32),
             )))?;
-            // Words one under the other, on the side where there is room.
-            let right = (at - x.0) / (x.1 - x.0) > 0.6;
-            let side = if right { HPos::Right } else { HPos::Left };
-            let style = pen.text(12).pos(Pos::new(side, VPos::Top));
-            let shift = (
-                pen.px(if right { -4 } else { 4 }),
-                pen.px(2 + 15 * row as i32),
-            );
+            let side = if room { HPos::Left } else { HPos::Right };
+            let shift = (pen.px(if room { 4 } else { -4 }), 0);
+            let style = style.clone().pos(Pos::new(side, VPos::Top));
             chart.draw_series(std::iter::once(
-                EmptyElement::at((*at, y.1)) + Text::new(word.clone(), shift, style),
+                EmptyElement::at((*at, end)) + Text::new(word.clone(), shift, style),
             ))?;
         }
         // The caller presents: that ends the file, and other charts may follow in it.
@@ -372,9 +388,13 @@ fn key<DB: DrawingBackend>(
         Kind::Crosses => area.draw(&Cross::new(middle, px(4), style)),
         Kind::Bars(_) => area.draw(&Rectangle::new(corners(4, 14), colour.filled())),
         Kind::Area => area.draw(&Rectangle::new(corners(2, 16), colour.mix(0.2).filled())),
-        Kind::Dashed => {
-            line(0, 7)?;
-            line(11, 18)
+        Kind::Dashes(dash, space) => {
+            let mut from = 0;
+            while from < 18 {
+                line(from, (from + dash).min(18))?;
+                from += dash + space;
+            }
+            Ok(())
         }
         Kind::Line | Kind::Segments => line(0, 18),
     }

@@ -3,6 +3,14 @@
 use super::{Kind, Plot, Series};
 use crate::report::model::{Model, Puncture, PunctureRun};
 
+/// Curves of one chart differ in their dashes as well as in colour.
+const DASHES: [Kind; 4] = [
+    Kind::Line,
+    Kind::Dashes(7, 4),
+    Kind::Dashes(2, 3),
+    Kind::Dashes(14, 5),
+];
+
 /// Figures 25 and 27: the whole force of each run over time.
 pub fn forces(p: &Puncture) -> Plot {
     Plot {
@@ -19,7 +27,7 @@ pub fn forces(p: &Puncture) -> Plot {
                     Some(given) if given == r.angle_deg => format!("{given}° (given)"),
                     _ => format!("{}°", r.angle_deg),
                 };
-                Series::new(&name, i, Kind::Line, points)
+                Series::new(&name, i, DASHES[i % DASHES.len()], points)
             })
             .chain(p.runs.iter().enumerate().map(|(i, r)| {
                 // The force at each puncture, on its curve.
@@ -43,9 +51,9 @@ fn words(p: &Puncture) -> &'static str {
 
 /// Figure 26: the force of each layer over time, with the moments of puncture.
 pub fn force_by_layer(r: &PunctureRun) -> Plot {
-    let layer = |name: &str, colour: usize, k: usize| {
+    let layer = |name: &str, colour: usize, k: usize, kind: Kind| {
         let points = r.curve.iter().map(|c| (c[0], c[k])).collect();
-        Series::new(name, colour, Kind::Line, points)
+        Series::new(name, colour, kind, points)
     };
     Plot {
         title: format!(
@@ -53,13 +61,17 @@ pub fn force_by_layer(r: &PunctureRun) -> Plot {
             r.angle_deg,
             r.model.words()
         ),
-        x_label: "time / s".into(),
+        x_label: "time / s (a line where a layer is punctured)".into(),
         y_label: "force / N".into(),
-        series: vec![layer("skin", 1, 2), layer("fat", 4, 3), layer("vein", 0, 4)],
+        series: vec![
+            layer("skin", 1, 2, DASHES[0]),
+            layer("fat", 4, 3, DASHES[1]),
+            layer("vein", 0, 4, DASHES[2]),
+        ],
         marks: r
             .events
             .iter()
-            .filter_map(|(name, _, puncture, _)| Some(((*puncture)?, format!("{name} punctured"))))
+            .filter_map(|(name, _, puncture, _)| Some(((*puncture)?, name.clone())))
             .collect(),
         ..Plot::default()
     }

@@ -161,10 +161,10 @@ fn table_3(c: &Calibration) -> Markup {
 
 fn table_4(c: &Calibration) -> Markup {
     let rows: Vec<Vec<String>> = c.positions.iter().map(offset).collect();
-    html! {
+    html! { div.block {
         (table("Table 4: D predicted and fitted", &["slide / mm", "predicted / mm", "fitted / mm", "difference / mm", "|hold-out| / mm", "points", "RMS to plane / mm", "paper: predicted / mm", "paper: real / mm", "paper: |difference| / mm"], &rows))
         @if !rows.is_empty() { p.soft { "Mean |difference| " (number(c.offset_error_mm, 4)) " mm; in the paper 0.174 mm (0.179 mm with the misprint in its row of 10 mm mended, as here). Hold-out: the position is left out and predicted from the rest." } }
-    }
+    } }
 }
 
 fn offset(p: &Position) -> Vec<String> {

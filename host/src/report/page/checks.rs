@@ -11,14 +11,13 @@ pub fn section(checks: &[Check]) -> Markup {
             h2 { "Checks" }
             p.soft { "Every check that was made for this result, in order; the verdict at the top is read off this list. A check without value is of something that is so or is not." }
             div.scroll { table {
-                thead { tr { th.left { "of" } th.left { "check" } th { "value" } th { "limit" } th.left { "unit" } th.left { "outcome" } } }
+                thead { tr { th.left { "check" } th.left { "outcome" } th { "value" } th { "limit" } th.left { "unit" } } }
                 tbody { @for c in checks { tr {
-                    td.left { (c.part) }
                     td.text { (c.what) }
+                    td.left.over[!c.sound()] { (outcome(c.outcome)) }
                     td { (value(c)) }
                     td { (c.limit.map_or("–".into(), limit)) }
                     td.left { (if c.unit.is_empty() { "–" } else { &c.unit }) }
-                    td.left.over[!c.sound()] { (outcome(c.outcome)) }
                 } } }
             } }
         }
@@ -41,7 +40,7 @@ fn limit(l: Limit) -> String {
     }
 }
 
-/// Three digits, or as many as tell an unsound value from its limit.
+/// Four digits, or as many as tell an unsound value from its limit.
 fn value(c: &Check) -> String {
     let Some(value) = c.value else {
         return "–".into();
@@ -58,9 +57,9 @@ fn value(c: &Check) -> String {
     }
 }
 
-/// Three digits; whole numbers as they are.
+/// Four digits; whole numbers as they are.
 fn figure(value: f64) -> String {
-    let digits = 2.0 - value.abs().max(1e-6).log10().floor();
+    let digits = 3.0 - value.abs().max(1e-6).log10().floor();
     let text = number(value, digits.clamp(0.0, 5.0) as usize);
     match text.contains('.') {
         true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
@@ -73,13 +72,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_have_three_digits() {
+    fn figures_have_four_digits() {
         for (value, text) in [
             (1103.0, "1103"),
-            (0.21842, "0.218"),
+            (0.21842, "0.2184"),
             (0.000_123, "0.00012"),
             (0.0, "0"),
-            (-22.54, "−22.5"),
+            (-22.541, "−22.54"),
             (3.0, "3"),
             (100.0, "100"),
         ] {

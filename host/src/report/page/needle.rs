@@ -15,10 +15,10 @@ pub fn top(report: &Report) -> Markup {
                 @if let Some(n) = &report.needle { (angle(n)) }
                 @else if !report.headline.is_empty() { p.angle { (report.headline) } }
                 @if let Some(v) = &report.verdict { (verdict(v)) }
-                @if let Some(n) = &report.needle { (details(n)) }
             }
             @if let Some(p) = &report.picture { (picture(p)) }
         }
+        @if let Some(n) = &report.needle { (details(n)) }
     }
 }
 
@@ -63,7 +63,7 @@ fn verdict(v: &Verdict) -> Markup {
 
 fn details(n: &Needle) -> Markup {
     html! {
-        @for f in &n.frames {
+        div.frames { @for f in &n.frames {
             div.scroll { table {
                 thead { tr { th.left { (f.name) " frame" } th { "X" } th { "Y" } th { "Z" } } }
                 tbody {
@@ -73,7 +73,7 @@ fn details(n: &Needle) -> Markup {
                     (row("vein’s direction", &f.vein, 4))
                 }
             } }
-        }
+        } }
         p.soft {
             @if let Some(s) = &n.entry_sigma_mm {
                 "Entry: σ " (number(s[0], 3)) ", " (number(s[1], 3)) ", " (number(s[2], 3)) " mm along X, Y, Z. "
@@ -136,11 +136,11 @@ fn picture(p: &Picture) -> Markup {
 /// The stripes section.
 pub fn stripes(samples: &[StripeSample]) -> Markup {
     html! {
-        @if !samples.is_empty() {
+        @if !samples.is_empty() { div.block {
             h2 { "Stripes" }
             p.soft { "Pieces of scan frames beside the entry, every pixel drawn large, with the extracted centres at sub-pixel scale (" span.key style="background:#D55E00" {} "quality 0.5 and better, " span.key style="background:#56B4E9" {} "below); under each, σ of every centre of the whole stripe." }
             div.charts.three { @for s in samples { (sample(s)) } }
-        }
+        } }
     }
 }
 

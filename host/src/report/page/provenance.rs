@@ -48,7 +48,7 @@ pub fn section(p: &Provenance) -> Markup {
                 (table("Time per stage", &["stage", "ms"], &stages))
                 p.soft { "Summed over threads; reading is decoding the images." }
             } }
-            div { (table("Settings and thresholds", &["name", "value"], &settings)) }
+            div.settings { (table("Settings and thresholds", &["name", "value"], &settings)) }
         }
     }
 }

@@ -25,7 +25,10 @@ pub fn section(p: &Puncture) -> Markup {
             @for r in &p.runs { (chart(&charts::force_by_layer(r))) }
             @if !p.force_over_angle.is_empty() { (chart(&charts::force_over_angle(p))) }
         }
-        (given("The decision, angle by angle", &p.decision))
-        (given("Sensitivity to friction and toughness", &p.sensitivity))
+        div.block {
+            (given("The decision, angle by angle", &p.decision))
+            @if !p.against.is_empty() { ul { @for a in &p.against { li { (a) } } } }
+        }
+        (given("Sensitivity: peak force / N under other assumptions", &p.sensitivity))
     }
 }

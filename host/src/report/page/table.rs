@@ -32,7 +32,7 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
     html! {
         @if !rows.is_empty() { div.block[rows.len() <= ONE_PAGE] {
             @if !caption.is_empty() { h3 { (caption) } }
-            div.scroll { table {
+            div.scroll tabindex="0" { table {
                 thead { tr { @for (k, h) in head.iter().enumerate() { th class=[of(k)] { (h) } } } }
                 tbody { @for row in rows { tr {
                     @for (k, cell) in row.iter().enumerate() { td class=[of(k)] { (cell) } }
@@ -42,10 +42,20 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
     }
 }
 
-/// The same for a table that comes as text.
+/// A table whose rows are named by their first cells; the others stand right, words among them too.
 pub fn given(caption: &str, t: &Table) -> Markup {
-    let head: Vec<&str> = t.head.iter().map(String::as_str).collect();
-    table(caption, &head, &t.rows)
+    let side = |k: usize| (k == 0).then_some("name");
+    html! {
+        @if !t.rows.is_empty() { div.block {
+            h3 { (caption) }
+            div.scroll tabindex="0" { table.across {
+                thead { tr { @for (k, h) in t.head.iter().enumerate() { th class=[side(k)] { (h) } } } }
+                tbody { @for row in &t.rows { tr {
+                    @for (k, cell) in row.iter().enumerate() { td class=[side(k)] { (cell) } }
+                } } }
+            } }
+        } }
+    }
 }
 
 #[cfg(test)]

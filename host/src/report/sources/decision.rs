@@ -1,6 +1,6 @@
 //! The decision's part of the puncture's section, with the fast model over all angles.
 
-use crate::puncture::decision::{Decision, Row, against, given_row};
+use crate::puncture::decision::{Decision, Row, Sensitivity, against, given_row};
 use crate::puncture::fast::Calibration;
 use crate::puncture::output::PunctureReport;
 use crate::puncture::tissue::Setup;
@@ -28,7 +28,7 @@ pub fn decided(d: &Decision, setup: &Setup, given: Option<f64>) -> Puncture {
     Puncture {
         runs: angles.map(|a| fast_run(fast, setup, a)).collect(),
         curves: format!(
-            "The curves are the fast model’s: a closed form whose peaks are {:.1} % RMS off the reference simulation, as is the peak over the angle; dots mark where a layer gives way. `--puncture` (or `cannula puncture`) simulates them.",
+            "The curves are the fast model’s: a closed form whose peaks are {:.1} % RMS off the reference simulation, as is the peak over the angle; dots mark where a layer gives way. With --puncture (or by the command puncture) they are simulated.",
             100.0 * fast.peak_error
         ),
         force_over_angle: (first as i32..=last as i32)
@@ -57,6 +57,7 @@ pub fn decided(d: &Decision, setup: &Setup, given: Option<f64>) -> Puncture {
             ],
         },
         decision: decision(&rows, d, given),
+        against: against_each(&rows),
         sensitivity: sensitivity(&rows, d),
     }
 }
@@ -154,101 +155,81 @@ fn plain(angle_deg: f64) -> String {
     ((angle_deg * 100.0).round() / 100.0).to_string()
 }
 
-fn table(head: &[&str], rows: Vec<Vec<String>>) -> Table {
+/// A column per angle: a phone's window holds four, and a printed page as many as one compares.
+fn decision(rows: &[Row], d: &Decision, given: Option<f64>) -> Table {
+    let across = |name: &str, cell: &dyn Fn(&Row) -> String| {
+        let cells = rows.iter().map(cell);
+        std::iter::once(name.to_owned()).chain(cells).collect()
+    };
+    let figure = |x: f64| format!("{x:.2}").replace('-', "−");
+    let by = |r: &Row| match r.source {
+        "reference" => "simulated".to_owned(),
+        _ => "fast model".to_owned(),
+    };
+    let body: Vec<Vec<String>> = vec![
+        across("this angle is", &|r| is(r, d, given).to_owned()),
+        across("peak force / N", &|r| figure(r.peak_force_n)),
+        across("its σ / N", &|r| figure(r.peak_error_n)),
+        across("force by", &by),
+        across("work / N·mm", &|r| figure(r.work_n_mm)),
+        across("path to the lumen / mm", &|r| figure(r.path_mm)),
+        across("time for it / s", &|r| figure(r.duration_s)),
+        across("clearance to far wall / mm", &|r| figure(r.clearance_mm)),
+        across("straight length in lumen / mm", &|r| {
+            figure(r.lumen_length_mm)
+        }),
+    ];
     Table {
-        head: head.iter().map(|h| (*h).to_owned()).collect(),
-        rows,
+        head: across("", &|r| format!("{}°", plain(r.angle_deg))),
+        rows: body,
     }
 }
 
-fn decision(rows: &[Row], d: &Decision, given: Option<f64>) -> Table {
-    let rows = rows.iter().map(|r| {
-        let chosen = r.angle_deg == d.angle_deg;
-        let is = match given {
-            Some(given) if given == r.angle_deg && chosen => "given; the criterion’s too",
-            Some(given) if given == r.angle_deg => "given: used",
-            Some(_) if chosen => "the criterion’s: not used",
-            None if chosen => "chosen",
-            _ => "compared",
-        };
-        vec![
-            plain(r.angle_deg),
-            is.to_owned(),
-            format!("{:.2}", r.peak_force_n),
-            format!("{:.2}", r.peak_error_n),
-            match r.source {
-                "reference" => "simulated",
-                _ => "fast model",
-            }
-            .to_owned(),
-            format!("{:.2}", r.work_n_mm),
-            format!("{:.2}", r.path_mm),
-            format!("{:.2}", r.duration_s),
-            format!("{:.2}", r.clearance_mm).replace('-', "−"),
-            format!("{:.2}", r.lumen_length_mm),
-            if r.flags.is_empty() {
-                "nothing speaks against it".to_owned()
-            } else {
-                r.flags.join("; ")
-            },
-        ]
-    });
-    table(
-        &[
-            "angle / °",
-            "",
-            "peak / N",
-            "σ / N",
-            "force by",
-            "work / N·mm",
-            "path to the lumen / mm",
-            "time for it / s",
-            "clearance to far wall / mm",
-            "straight length in lumen / mm",
-            "against it",
-        ],
-        rows.collect(),
-    )
+/// What an angle is to the decision.
+fn is(r: &Row, d: &Decision, given: Option<f64>) -> &'static str {
+    let chosen = r.angle_deg == d.angle_deg;
+    match given {
+        Some(given) if given == r.angle_deg && chosen => "given; the criterion’s too",
+        Some(given) if given == r.angle_deg => "given: used",
+        Some(_) if chosen => "the criterion’s: not used",
+        None if chosen => "chosen",
+        _ => "compared",
+    }
+}
+
+/// What speaks against each angle, a sentence each.
+fn against_each(rows: &[Row]) -> Vec<String> {
+    let words = |r: &Row| match r.flags.is_empty() {
+        true => "nothing that is checked".to_owned(),
+        false => r.flags.join("; "),
+    };
+    let angle = |r: &Row| format!("Against {}°: {}.", plain(r.angle_deg), words(r));
+    rows.iter().map(angle).collect()
 }
 
 fn sensitivity(rows: &[Row], d: &Decision) -> Table {
-    let mut rows: Vec<Vec<String>> = rows
-        .iter()
-        .map(|r| {
-            let s = &r.sensitivity;
-            let force = |f: f64| format!("{f:.2}");
-            vec![
-                // A row's name, as "lowest at" is: words, so that both stand left.
-                format!("at {}°", plain(r.angle_deg)),
-                force(s.friction_0_3),
-                force(s.friction_0_7),
-                force(s.toughness_half),
-                force(s.toughness_double),
-            ]
-        })
-        .collect();
-    // The answer under the same assumptions, in the order of the columns where one is known.
-    let best = |case: &str| {
-        let found = d.variations.iter().find(|v| v.case.contains(case));
-        found.map_or("–".to_owned(), |v| format!("{:.0}°", v.angle_deg))
+    type Force = fn(&Sensitivity) -> f64;
+    // Each with the word by which its answer is known.
+    let cases: [(&str, &str, Force); 4] = [
+        ("friction 0.3", "0.3", |s| s.friction_0_3),
+        ("friction 0.7", "0.7", |s| s.friction_0_7),
+        ("toughness halved", "halv", |s| s.toughness_half),
+        ("toughness doubled", "doub", |s| s.toughness_double),
+    ];
+    let mut head = vec![String::new()];
+    head.extend(rows.iter().map(|r| format!("{}°", plain(r.angle_deg))));
+    head.push("lowest of those compared".to_owned());
+    let row = |(name, word, force): &(&str, &str, Force)| {
+        let found = d.variations.iter().find(|v| v.case.contains(word));
+        let best = found.map_or("–".to_owned(), |v| format!("{:.0}°", v.angle_deg));
+        let forces = rows.iter().map(|r| format!("{:.2}", force(&r.sensitivity)));
+        let cells = std::iter::once((*name).to_owned()).chain(forces);
+        cells.chain([best]).collect()
     };
-    rows.push(vec![
-        "lowest of those compared".to_owned(),
-        best("0.3"),
-        best("0.7"),
-        best("halv"),
-        best("doub"),
-    ]);
-    table(
-        &[
-            "peak force / N",
-            "friction 0.3",
-            "friction 0.7",
-            "toughness halved",
-            "toughness doubled",
-        ],
-        rows,
-    )
+    Table {
+        head,
+        rows: cases.iter().map(row).collect(),
+    }
 }
 
 #[cfg(test)]
@@ -261,7 +242,11 @@ mod tests {
         let d = default_decision();
         let section = decided(&d, &Setup::default(), None);
         assert_eq!(section.angle_deg, d.angle_deg);
-        assert_eq!(section.decision.rows.len(), d.rows.len());
+        assert_eq!(section.decision.head.len(), 1 + d.rows.len());
+        let peaks = &section.decision.rows[1][1..];
+        for (cell, row) in peaks.iter().zip(&d.rows) {
+            assert_eq!(*cell, format!("{:.2}", row.peak_force_n));
+        }
         // The curves are of the angles that were compared, and their peaks the decision's.
         for (run, row) in section.runs.iter().zip(&d.rows) {
             assert_eq!((run.model, run.angle_deg), (Model::Fast, row.angle_deg));
@@ -275,7 +260,9 @@ mod tests {
         for [_, peak, low, high] in &section.force_over_angle {
             assert!(low <= peak && peak <= high && *peak > 0.0);
         }
-        let answers = section.sensitivity.rows.last().unwrap();
-        assert!(answers[1..].iter().all(|a| a.ends_with('°')), "{answers:?}");
+        for row in &section.sensitivity.rows {
+            assert_eq!(row.len(), 2 + d.rows.len());
+            assert!(row.last().unwrap().ends_with('°'), "{row:?}");
+        }
     }
 }

@@ -152,6 +152,32 @@ fn named(
         .map(|(name, value)| (name.to_owned(), value))
 }
 
+/// A field's name as words, its unit as on every axis: "fast_mm_s" is "fast / mm/s".
+fn words(key: &str) -> String {
+    const UNITS: [(&str, &str); 14] = [
+        ("_mm_s2", "mm/s²"),
+        ("_mm_s", "mm/s"),
+        ("_kj_m2", "kJ/m²"),
+        ("_mm", "mm"),
+        ("_ms", "ms"),
+        ("_us", "µs"),
+        ("_s", "s"),
+        ("_deg", "°"),
+        ("_mpa", "MPa"),
+        ("_kpa", "kPa"),
+        ("_px", "px"),
+        ("_db", "dB"),
+        ("_n", "N"),
+        ("_ppm", "ppm"),
+    ];
+    let unit = UNITS.iter().find_map(|(end, unit)| {
+        let name = key.strip_suffix(end)?;
+        // "steps_per_mm" is a name.
+        (!name.ends_with("per")).then(|| format!("{} / {unit}", name.replace('_', " ")))
+    });
+    unit.unwrap_or_else(|| key.replace('_', " "))
+}
+
 /// The same with a word before each path.
 pub fn under(name: &str, value: &impl serde::Serialize) -> Vec<(String, String)> {
     let rows = leaves(value).into_iter();
@@ -165,9 +191,9 @@ pub fn leaves(value: &impl serde::Serialize) -> Vec<(String, String)> {
         use serde_json::Value;
         let under = |key: &str| {
             if path.is_empty() {
-                key.replace('_', " ")
+                words(key)
             } else {
-                format!("{path}: {}", key.replace('_', " "))
+                format!("{path}: {}", words(key))
             }
         };
         match value {
@@ -206,7 +232,9 @@ mod tests {
         let rows = leaves(&setup);
         let value = |name: &str| rows.iter().find(|r| r.0 == name).map(|r| r.1.as_str());
         assert_eq!(value("friction"), Some(setup.friction.to_string().as_str()));
-        assert_eq!(value("needle: bevel deg"), Some("12.0"));
+        assert_eq!(value("needle: bevel / °"), Some("12.0"));
+        assert_eq!(value("skin: toughness / kJ/m²"), Some("1.1"));
+        assert_eq!(words("steps_per_mm"), "steps per mm");
         assert_eq!(value("skin: law: model"), Some("yeoh"));
     }
 }
