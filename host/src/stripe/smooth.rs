@@ -329,25 +329,17 @@ fn dense(samples: &[Sample], n: usize) -> (Vec<f64>, Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::synthetic::Noise;
 
-    /// Normal deviates by Box–Muller on a linear congruential generator.
-    struct Normal(u64);
-    impl Normal {
-        fn uniform(&mut self) -> f64 {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        }
-        fn next(&mut self) -> f64 {
-            (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
-        }
-    }
-
-    fn noisy(n: usize, blur: f64, sigma: f64, shape: impl Fn(f64) -> f64) -> Vec<Sample> {
-        let mut normal = Normal(7);
-        let white: Vec<f64> = (0..n + 12).map(|_| normal.next()).collect();
+    fn noisy(
+        seed: u64,
+        n: usize,
+        blur: f64,
+        sigma: f64,
+        shape: impl Fn(f64) -> f64,
+    ) -> Vec<Sample> {
+        let mut noise = Noise(seed);
+        let white: Vec<f64> = (0..n + 12).map(|_| noise.normal()).collect();
         let k: Vec<f64> = (0..13)
             .map(|i| (-0.5 * ((i as f64 - 6.0) / blur.max(1e-3)).powi(2)).exp())
             .collect();
@@ -381,7 +373,7 @@ mod tests {
     #[test]
     fn noise_is_measured_whatever_the_shape() {
         for (blur, sigma) in [(0.0, 0.1), (0.7, 0.05), (1.0, 0.2)] {
-            let samples = noisy(1200, blur, sigma, |x| {
+            let samples = noisy(7, 1200, blur, sigma, |x| {
                 0.002 * x * x + 3.0 * (x / 40.0).sin()
             });
             let curve = Curve::fit(&samples).unwrap();
@@ -405,12 +397,19 @@ mod tests {
     #[test]
     fn a_smooth_shape_gains_and_a_rough_one_loses_nothing() {
         let smooth = |x: f64| 40.0 * (x / 300.0).sin();
-        let samples = noisy(1000, 0.7, 0.1, smooth);
-        let (rms, normalised) = errors(&samples, smooth);
-        assert!(rms < 0.05, "{rms}");
-        assert!((0.8..1.25).contains(&normalised), "{normalised}");
+        let draws: Vec<(f64, f64)> = (0..20)
+            .map(|seed| errors(&noisy(seed, 1000, 0.7, 0.1, smooth), smooth))
+            .collect();
+        let of = |pick: fn(&(f64, f64)) -> f64| {
+            let squares = draws.iter().map(|d| pick(d).powi(2)).sum::<f64>();
+            (squares / draws.len() as f64).sqrt()
+        };
+        let (rms, normalised) = (of(|d| d.0), of(|d| d.1));
+        assert!(rms < 0.045, "{rms}");
+        // A chance bias counts as one: stated a fifth too large rather than too small.
+        assert!((0.75..1.1).contains(&normalised), "{normalised}");
         let rough = |x: f64| 1.5 * (x / 6.0).sin();
-        let samples = noisy(1000, 0.7, 0.02, rough);
+        let samples = noisy(7, 1000, 0.7, 0.02, rough);
         let (rms, _) = errors(&samples, rough);
         assert!(rms < 0.022, "{rms}");
     }
@@ -418,7 +417,7 @@ mod tests {
     #[test]
     fn gaps_are_bridged_along_the_curve() {
         let shape = |x: f64| 0.01 * (x - 50.0).powi(2);
-        let mut samples = noisy(100, 0.0, 0.03, shape);
+        let mut samples = noisy(7, 100, 0.0, 0.03, shape);
         samples.retain(|s| !(140..146).contains(&s.u) && s.u % 17 != 0);
         let curve = Curve::fit(&samples).unwrap();
         for u in 100..200 {

