@@ -86,6 +86,76 @@ fn the_demo_finds_the_needle() {
         .map(|(a, b)| (a - b).abs())
         .sum();
     assert!(apart < 1e-9, "live and from files: {apart}");
+
+    // With --force another demo takes its place, but not once something else lies or was recorded there.
+    let again = [
+        "demo",
+        "--profile",
+        "tiny",
+        "--seed",
+        "5",
+        "--force",
+        "--out",
+        to,
+    ];
+    let seed = || json(&out.join("errors.json"))["seed"].as_u64();
+    assert_eq!((cannula(&again), seed()), (0, Some(5)));
+    let mine = out.join("session/notes.txt");
+    std::fs::write(&mine, "mine").unwrap();
+    assert_eq!(cannula(&again), 1);
+    std::fs::remove_file(&mine).unwrap();
+    let to_session = session.to_str().unwrap();
+    let config = dir.path().join("rig.toml");
+    std::fs::write(&config, SMALL_RIG).unwrap();
+    let config = config.to_str().unwrap();
+    let more = [
+        "capture", "camera", "--config", config, "--poses", "1", "--out", to_session,
+    ];
+    assert_eq!(cannula(&more), 0);
+    assert_eq!(cannula(&again), 1);
+    assert_eq!(
+        json(&session.join("truth.json"))["format"],
+        "cannula-truth/1"
+    );
+}
+
+/// --force never replaces a recording that no simulation wrote, nor results that lie beside it.
+#[test]
+fn a_simulation_replaces_only_simulations() {
+    let _one = alone();
+    let dir = tempfile::tempdir().unwrap();
+    let session = dir.path().join("session");
+    std::fs::create_dir_all(session.join("camera")).unwrap();
+    std::fs::write(session.join("session.json"), "mine").unwrap();
+    std::fs::write(session.join("camera/00.png"), "mine").unwrap();
+    let (to, in_it) = (dir.path().to_str().unwrap(), session.to_str().unwrap());
+    for words in [
+        &["demo", "--profile", "tiny", "--out", to][..],
+        &["simulate", "--profile", "tiny", "--session", in_it],
+    ] {
+        assert_eq!(cannula(words), 1);
+        assert_eq!(cannula(&[words, &["--force"]].concat()), 1);
+    }
+    for file in ["session.json", "camera/00.png"] {
+        assert_eq!(std::fs::read(session.join(file)).unwrap(), b"mine");
+    }
+    std::fs::remove_dir_all(&session).unwrap();
+    let calibration = dir.path().join("calibration.json");
+    std::fs::write(&calibration, "mine").unwrap();
+    assert_eq!(
+        cannula(&["demo", "--profile", "tiny", "--force", "--out", to]),
+        1
+    );
+    assert_eq!(std::fs::read(&calibration).unwrap(), b"mine");
+    assert!(!session.exists());
+
+    // A simulated recording gives way to another.
+    let simulate = ["simulate", "--profile", "tiny", "--session", in_it];
+    assert_eq!(cannula(&simulate), 0);
+    assert_eq!(cannula(&simulate), 1);
+    let other = [&simulate[..], &["--seed", "7", "--force"]].concat();
+    assert_eq!(cannula(&other), 0);
+    assert_eq!(json(&session.join("truth.json"))["seed"], 7);
 }
 
 /// Recorded in parts, broken off and gone on with, calibrated, scanned live.

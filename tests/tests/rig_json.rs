@@ -115,3 +115,47 @@ fn recording_scanning_replaying() {
         31
     );
 }
+
+/// The spread of the poses is enough; whether that calibrates is another matter, and has the last word.
+#[test]
+fn enough_is_what_calibrates() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (config, session, file) = (path("rig.toml"), path("s"), path("s/session.json"));
+    std::fs::write(&config, SMALL_RIG).unwrap();
+    object(&["simulate", "--profile", "tiny", "--session", &session]);
+    let mut manifest: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    // Its four poses twice: the guide asks for six.
+    let light = manifest["light"].as_array_mut().unwrap();
+    light.extend(light.clone());
+    let look = |what: &str, manifest: &Value| {
+        std::fs::write(&file, manifest.to_string()).unwrap();
+        object(&[
+            "capture", "--config", &config, what, "--out", &session, "--poses", "1",
+        ])
+    };
+    let said = look("light", &manifest);
+    assert_eq!(
+        (&said["enough"], &said["next"]),
+        (&true.into(), &Value::Null),
+        "{said}"
+    );
+    assert_eq!(look("camera", &manifest)["enough"], true);
+
+    // A slide that says it goes twice as far as it does: no image shows it, only the calibration.
+    for pose in manifest["light"].as_array_mut().unwrap() {
+        for frame in pose["on"].as_array_mut().unwrap() {
+            frame["slide_mm"] = (2.0 * frame["slide_mm"].as_f64().unwrap()).into();
+            frame["slide_steps"] = (2 * frame["slide_steps"].as_i64().unwrap()).into();
+        }
+    }
+    let said = look("light", &manifest);
+    assert_eq!(said["enough"], false, "{said}");
+    let next = said["next"].as_str().unwrap();
+    assert!(
+        next.starts_with("it would not calibrate yet") && next.contains("mm of the slide"),
+        "{next}"
+    );
+    // That is none of the camera's business.
+    assert_eq!(look("camera", &manifest)["enough"], true);
+}

@@ -16,7 +16,7 @@ use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
 use crate::rig::simulated::Stage;
 use crate::session::{Entry, Manifest, Session, check};
-use crate::simulation::{Subject, Truth};
+use crate::simulation::{Subject, Truth, mark};
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,9 +35,9 @@ pub struct Args {
 #[derive(clap::Subcommand, Debug)]
 enum What {
     /// The checkerboard in many poses, laser off.
-    Camera(Common),
+    Camera(PosesArgs),
     /// The checkerboard in some poses, the slide visiting all positions in each.
-    Light(Common),
+    Light(PosesArgs),
     /// One sweep over the hand; one that was broken off goes on (hand and light must not have moved).
     Scan(ScanArgs),
 }
@@ -97,15 +97,21 @@ struct Common {
     /// The recording: a folder, made if it is not there.
     #[arg(long, value_name = "SESSION")]
     out: PathBuf,
+    /// Record this part anew, if it stands there.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(clap::Args, Debug)]
+struct PosesArgs {
+    #[command(flatten)]
+    common: Common,
     /// Take poses without asking until the recording has so many.
     #[arg(long, value_name = "N")]
     poses: Option<usize>,
     /// With --poses: wait so long before each.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     every: f64,
-    /// Record this part anew, if it stands there.
-    #[arg(long)]
-    force: bool,
 }
 
 /// Runs the command.
@@ -118,7 +124,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let size = opened.camera.size();
     let geometry = rig.geometry();
     let common = match &args.what {
-        What::Camera(c) | What::Light(c) => c,
+        What::Camera(p) | What::Light(p) => &p.common,
         What::Scan(s) => &s.common,
     };
     let mut recording = Recording::open(&common.out, size, &geometry)?;
@@ -131,6 +137,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         What::Camera(_) | What::Light(_) => None,
     };
     say_homed(open::ready(&opened.board, &rig)?, &rig, out);
+    mark::lift(recording.folder())?;
     let Opened {
         board,
         camera,
@@ -138,16 +145,20 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         ..
     } = &mut opened;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
-    let mut operator = Operator::new(common, cancel, out);
     match &args.what {
-        What::Camera(c) => {
-            if c.force {
+        What::Camera(p) => {
+            let mut operator = Operator::new(p, cancel, out);
+            if common.force {
                 recording.manifest.camera.clear();
             }
             let mut guide = known(&recording, &geometry, size, out)?;
             let scene = stage.as_ref().map(|s| s.renderer().clone());
+            let wanted = |guide: &Guide, recording: &Recording| match guide.next() {
+                Some(next) => anyhow::Ok(Some(next)),
+                None => lacking(recording, false, out),
+            };
+            let mut next = wanted(&guide, &recording)?;
             loop {
-                let next = guide.next();
                 match &next {
                     Some(next) => out.say(&format!("{}; next: {next}", guide.summary())),
                     None => out.say(&format!("{}: that is enough", guide.summary())),
@@ -180,28 +191,32 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                         if let Some(warning) = warning {
                             out.warn(&warning);
                         }
+                        next = wanted(&guide, &recording)?;
                     }
                     PoseOutcome::NotFound(why) => operator.missed(&why.to_string())?,
                 }
             }
             let object = json!({
                 "session": common.out, "poses": recording.manifest.camera.len(),
-                "covered": guide.covered(), "enough": guide.next().is_none(),
+                "covered": guide.covered(), "enough": next.is_none(), "next": next,
             });
             out.result(&object, || {
                 format!("{}: {}", common.out.display(), guide.summary())
             })
         }
-        What::Light(c) => {
-            if c.force {
+        What::Light(p) => {
+            let mut operator = Operator::new(p, cancel, out);
+            if common.force {
                 recording.manifest.light.clear();
             }
             let scene = stage.as_ref().map(|s| s.renderer().clone());
             let mut guide = known_light(&recording, &geometry, size, out)?;
-            let mut verdict = None;
+            let wanted = |guide: &LightGuide, recording: &Recording| match guide.next() {
+                Some(next) => anyhow::Ok(Some(next)),
+                None => lacking(recording, true, out),
+            };
+            let mut next = wanted(&guide, &recording)?;
             loop {
-                // Where the spread is enough, the calibration itself has the last word.
-                let next = guide.next().or_else(|| verdict.take().flatten());
                 match &next {
                     Some(next) => out.say(&format!("{}; next: {next}", guide.summary())),
                     None => out.say(&format!("{}: that is enough", guide.summary())),
@@ -238,23 +253,20 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                             sweep.shots, sweep.planned
                         ));
                         complain(&sweep, waited, out);
-                        if guide.next().is_none() {
-                            verdict = Some(lacking(&recording, out)?);
-                        }
+                        next = wanted(&guide, &recording)?;
                     }
                     LightOutcome::NotFound(why) => operator.missed(&why.to_string())?,
                 }
             }
             let object = json!({
                 "session": common.out, "poses": recording.manifest.light.len(),
-                "depth_spread": guide.depth(), "enough": guide.next().is_none(),
+                "depth_spread": guide.depth(), "enough": next.is_none(), "next": next,
             });
             out.result(&object, || {
                 format!("{}: {}", common.out.display(), guide.summary())
             })
         }
         What::Scan(s) => {
-            let c = &s.common;
             if let Some(stage) = &stage {
                 stage.show(&Subject::Hand);
                 recording.manifest.entry = Truth::new(stage.renderer().scene()).map(|t| t.entry);
@@ -265,7 +277,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 &mut acquisition,
                 &rig,
                 &mut recording,
-                c.force,
+                s.common.force,
                 &mut |step| {
                     if matches!(step, Step::Shot(_)) {
                         out.step();
@@ -351,13 +363,13 @@ fn earlier(
     Ok(())
 }
 
-/// What the calibration's own gates find lacking in a recording that has poses of both kinds; `None`
-/// if it stands.
-fn lacking(recording: &Recording, out: &Output) -> anyhow::Result<Option<String>> {
-    if recording.manifest.camera.is_empty() {
-        return Ok(None);
+/// Where the spread is enough, the calibration itself has the last word: what its own gates find
+/// lacking in what is recorded; `None` if it stands. `light`: with the light planes.
+fn lacking(recording: &Recording, light: bool, out: &Output) -> anyhow::Result<Option<String>> {
+    let mut session = Session::open(recording.folder())?;
+    if !light {
+        session.manifest.light.clear();
     }
-    let session = Session::open(recording.folder())?;
     Ok(
         match calibrate(&session, Method::Ml, &Times::default(), &Silent) {
             Ok(calibrated) => {
@@ -388,10 +400,10 @@ struct Operator<'a> {
 }
 
 impl<'a> Operator<'a> {
-    fn new(common: &Common, cancel: &'a AtomicBool, out: &'a Output) -> Self {
+    fn new(args: &PosesArgs, cancel: &'a AtomicBool, out: &'a Output) -> Self {
         Self {
-            poses: common.poses,
-            every: Duration::try_from_secs_f64(common.every.clamp(0.0, 3600.0)).unwrap_or_default(),
+            poses: args.poses,
+            every: Duration::try_from_secs_f64(args.every.clamp(0.0, 3600.0)).unwrap_or_default(),
             missed: 0,
             in_a_row: 0,
             cancel,

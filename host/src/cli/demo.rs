@@ -20,6 +20,7 @@ use crate::rig::open::{self, SIMULATED};
 use crate::rig::recording::Recording;
 use crate::session::Session;
 use crate::simulation::compare::{self, Measured, errors, table};
+use crate::simulation::mark;
 use crate::simulation::{Lit, Profile, Recorded, Subject, Truth, write_truth};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -37,24 +38,39 @@ pub struct Args {
     /// tiny, nominal or hard.
     #[arg(long, default_value = "nominal")]
     profile: Profile,
-    /// Overwrite a demo that stands there.
+    /// Replace a demo that stands there; anything else is left alone.
     #[arg(long)]
     force: bool,
     #[command(flatten)]
     needle: NeedleArgs,
 }
 
+/// What it writes beside the recording.
+const RESULTS: [&str; 7] = [
+    "calibration.json",
+    "cloud.ply",
+    "cloud.xyz",
+    "cloud.csv",
+    "result.json",
+    "errors.json",
+    "report.html",
+];
+
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let begun = Instant::now();
     let folder = args.out.join("session");
-    if folder.exists() {
+    let results = RESULTS.map(|name| args.out.join(name));
+    let stands = std::iter::once(&folder)
+        .chain(&results)
+        .find(|p| p.exists());
+    if let Some(path) = stands {
         anyhow::ensure!(
             args.force,
-            "{}: a recording stands there; give another folder, or --force to overwrite it",
-            folder.display()
+            "{}: stands there; give another folder, or --force to replace a demo",
+            path.display()
         );
-        std::fs::remove_dir_all(&folder)?;
+        mark::clear(&folder, &results)?;
     }
     let rig = demo_rig(&args);
     let (truth, renderer) = record(&rig, &folder, out)?;
@@ -95,6 +111,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         "errors": errors, "result": result,
     });
     write_json(&args.out.join("errors.json"), &object)?;
+    mark::complete(&folder, &results)?;
     out.result(&object, || {
         format!(
             "{}\n{}\n{}\nwritten: {} ({seconds:.1} s, {recorded_s:.1} of them recording)",
@@ -176,6 +193,7 @@ fn record(
     let size = opened.camera.size();
     let geometry = rig.geometry();
     let mut recording = Recording::open(folder, size, &geometry)?;
+    mark::begin(folder)?;
     let mut guide = Guide::new(size.0, size.1);
     let mut recorded = Recorded::default();
     let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), rig, cancel);

@@ -13,7 +13,7 @@ use crate::rig::capture::{self, Step};
 use crate::rig::open::{self, Opened};
 use crate::rig::recording::Recording;
 use crate::session::{Entry, Session};
-use crate::simulation::{Subject, Truth};
+use crate::simulation::{Subject, Truth, mark};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -91,6 +91,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     recording.manifest.entry = Some(entry.clone());
     recording.scan_folder(args.force)?;
     say_homed(open::ready(board, &rig)?, &rig, out);
+    mark::lift(recording.folder())?;
     let file = recording.folder().join("session.json");
     let mut live = Some(Live::new(model));
     let mut finished = None;

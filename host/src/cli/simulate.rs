@@ -4,7 +4,7 @@
 use super::rig::{RigArgs, interrupted};
 use super::{BadArgument, Output};
 use crate::rig::open::simulated_board;
-use crate::simulation::{Profile, record};
+use crate::simulation::{Profile, mark, record};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ pub struct Args {
     /// tiny, nominal or hard.
     #[arg(long, default_value = "nominal")]
     profile: Profile,
-    /// Overwrite a recording that stands there.
+    /// Replace a simulated recording that stands there; anything else is left alone.
     #[arg(long)]
     force: bool,
 }
@@ -44,12 +44,15 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
 
 fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
     let file = folder.join("session.json");
-    if file.exists() && !args.force {
-        anyhow::bail!(
-            "{}: a recording stands there; give another folder, or --force to overwrite it",
-            file.display()
+    if let Some(part) = mark::stands(folder) {
+        anyhow::ensure!(
+            args.force,
+            "{}: stands there; give another folder, or --force to replace a simulated recording",
+            part.display()
         );
+        mark::clear(folder, &[])?;
     }
+    mark::begin(folder)?;
     let truth = record(folder, args.profile, args.seed, out)?;
     let n = truth.plane.normal;
     let object = serde_json::json!({

@@ -194,13 +194,34 @@ impl Progress {
         std::fs::remove_file(&path).map_err(|e| failed(&path, &e))
     }
 
-    /// Throws away what stands of a sweep that was broken off.
+    /// Throws away what stands of a sweep that was broken off; a file that no sweep writes stays, and
+    /// its folder with it.
     ///
     /// # Errors
     /// It can't be removed.
     pub fn discard(self) -> Result<(), RecordingError> {
-        std::fs::remove_dir_all(&self.folder).map_err(|e| failed(&self.folder, &e))
+        let fail = |e: std::io::Error| failed(&self.folder, &e);
+        let mut empty = true;
+        for entry in std::fs::read_dir(&self.folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            if is_of_sweep(&path) {
+                std::fs::remove_file(&path).map_err(|e| failed(&path, &e))?;
+            } else {
+                empty = false;
+            }
+        }
+        if empty {
+            std::fs::remove_dir(&self.folder).map_err(fail)?;
+        }
+        Ok(())
     }
+}
+
+/// Whether a file in the folder of a sweep can be the sweep's: an image, one in the making, its
+/// progress.
+pub fn is_of_sweep(path: &Path) -> bool {
+    let image = path.extension().is_some_and(|e| e == "png" || e == "part");
+    (image || path.ends_with(FILE)) && !path.is_dir()
 }
 
 fn put(file: &mut File, line: &Line) -> std::io::Result<()> {

@@ -332,12 +332,20 @@ mod tests {
         let broken = r.begin_light(Settings::new()).unwrap().0;
         assert_eq!(broken, "light/01");
         r.write("light/01/on_00.png", &picture(9)).unwrap();
+        let third = r.path("light/02");
+        Progress::begin(&third, Settings::new()).unwrap();
+        r.write("light/02/on_00.png", &picture(9)).unwrap();
+        std::fs::write(third.join("notes.txt"), "the board slipped").unwrap();
         drop(r);
         let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
         assert_eq!(r.manifest.camera.len(), 2);
         assert_eq!(r.add_camera(&picture(3)).unwrap(), "camera/03.png");
         assert_eq!(r.begin_light(Settings::new()).unwrap().0, "light/01");
         assert!(!r.path("light/01/on_00.png").exists() && r.path("light/00/off.png").exists());
+        // Whose file that is, nobody here knows.
+        let left: Vec<_> = std::fs::read_dir(&third).unwrap().collect();
+        assert_eq!(left.len(), 1);
+        assert_eq!(left[0].as_ref().unwrap().file_name(), "notes.txt");
         assert_eq!(r.scan_folder(false).unwrap(), "scan");
         let frame = |mm: f64, image: &str| Frame {
             slide_mm: mm,

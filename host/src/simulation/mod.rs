@@ -6,6 +6,7 @@
 
 pub mod compare;
 mod hand;
+pub mod mark;
 pub mod mcu;
 mod profile;
 mod random;

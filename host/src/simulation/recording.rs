@@ -7,10 +7,11 @@ use super::render::{Renderer, Subject};
 use super::scene::Scene;
 use super::truth::{Lit, Recorded, Truth, to_json};
 use crate::geometry::Plane;
+use crate::output::{OutputError, write_whole};
 use crate::progress::Progress;
 use crate::session::{self, Manifest, SessionError};
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Steps of the simulated slide a millimetre: 200 full steps of 16 microsteps on a screw of 10 mm.
 pub const STEPS_PER_MM: f64 = 320.0;
@@ -25,13 +26,8 @@ pub enum RecordError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// truth.json could not be written.
-    #[error("{path}: could not be written", path = path.display())]
-    Truth {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Truth(#[from] OutputError),
 }
 
 /// The number of a frame in the noise's streams: images of one recording must not share noise.
@@ -199,9 +195,8 @@ pub fn write_truth(
     truth: &Truth,
     recorded: &Recorded,
 ) -> Result<(), RecordError> {
-    let path = folder.join("truth.json");
-    let text =
-        serde_json::to_vec(&to_json(renderer, truth, recorded)).map_err(std::io::Error::from);
-    text.and_then(|text| std::fs::write(&path, text))
-        .map_err(|source| RecordError::Truth { path, source })
+    let object = to_json(renderer, truth, recorded);
+    Ok(write_whole(&folder.join("truth.json"), |out| {
+        Ok(serde_json::to_writer(out, &object)?)
+    })?)
 }
