@@ -29,8 +29,8 @@ pub struct GenicamCamera {
     size: (u32, u32),
     stream: Option<Stream>,
     armed: bool,
-    /// GigE Vision counts frames in 16 bits, 1 to 65535.
-    last_id: u64,
+    /// GigE Vision counts frames in 16 bits, 1 to 65535. `None` until the first after arming.
+    last_id: Option<u64>,
     sequence: u64,
 }
 
@@ -42,6 +42,44 @@ fn setting(key: &'static str) -> impl Fn(aravis::glib::Error) -> CameraError {
     move |e| CameraError::Setting {
         key,
         reason: e.message().to_owned(),
+    }
+}
+
+/// Sets the part of the sensor that is read out, all of it for a size of 0, and gives its width and
+/// height. What the camera had before does not matter.
+fn set_region(camera: &aravis::Camera, region: [u32; 4]) -> Result<(u32, u32), CameraError> {
+    const KEY: &str = "camera.region";
+    // Offsets first: sizes are bounded by what they leave.
+    for offset in ["OffsetX", "OffsetY"] {
+        if camera.is_feature_available(offset).unwrap_or(false) {
+            camera.set_integer(offset, 0).map_err(setting(KEY))?;
+        }
+    }
+    let (_, columns) = camera.width_bounds().map_err(setting(KEY))?;
+    let (_, rows) = camera.height_bounds().map_err(setting(KEY))?;
+    let asked = match region.map(i32::try_from).map(|v| v.unwrap_or(i32::MAX)) {
+        [_, _, 0, 0] => [0, 0, columns, rows],
+        region => region,
+    };
+    let [left, top, width, height] = asked;
+    if left.saturating_add(width) > columns || top.saturating_add(height) > rows {
+        return Err(CameraError::Setting {
+            key: KEY,
+            reason: format!("{asked:?} reaches beyond its {columns} × {rows} pixels"),
+        });
+    }
+    camera
+        .set_region(left, top, width, height)
+        .map_err(setting(KEY))?;
+    // Some round to what they can do, and say nothing.
+    let (left, top, width, height) = camera.region().map_err(failed)?;
+    let taken = [left, top, width, height];
+    match (u32::try_from(width), u32::try_from(height)) {
+        (Ok(width), Ok(height)) if taken == asked => Ok((width, height)),
+        _ => Err(CameraError::Setting {
+            key: KEY,
+            reason: format!("asked for {asked:?} it gives {taken:?}"),
+        }),
     }
 }
 
@@ -71,21 +109,15 @@ impl GenicamCamera {
         camera
             .set_pixel_format_from_string(&settings.pixel_format)
             .map_err(setting("camera.pixel_format"))?;
-        let [left, top, width, height] = settings.region.map(|v| v as i32);
-        if width > 0 && height > 0 {
-            camera
-                .set_region(left, top, width, height)
-                .map_err(setting("camera.region"))?;
-        }
-        let (_, _, width, height) = camera.region().map_err(failed)?;
+        let size = set_region(&camera, settings.region)?;
         Ok(Self {
             camera,
             settings: settings.clone(),
             description,
-            size: (width.max(0) as u32, height.max(0) as u32),
+            size,
             stream: None,
             armed: false,
-            last_id: 0,
+            last_id: None,
             sequence: 0,
         })
     }
@@ -142,12 +174,12 @@ impl GenicamCamera {
     fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
         let id = buffer.frame_id();
         // 16-bit counters wrap round to 1; frames that were lost between count too.
-        self.sequence += if id > self.last_id {
-            id - self.last_id
-        } else {
-            (id + 65_535).saturating_sub(self.last_id).max(1)
+        self.sequence += match self.last_id {
+            None => 1,
+            Some(last) if id > last => id - last,
+            Some(last) => (id + 65_535).saturating_sub(last).max(1),
         };
-        self.last_id = id;
+        self.last_id = Some(id);
         let picture = match buffer.status() {
             BufferStatus::Success => Some(self.picture(buffer)?),
             _ => None,
@@ -248,7 +280,7 @@ impl Camera for GenicamCamera {
         }
         c.start_acquisition().map_err(failed)?;
         self.armed = true;
-        self.last_id = 0;
+        self.last_id = None;
         Ok(())
     }
 
