@@ -20,7 +20,12 @@ pub fn become_it() {
 
 /// Starts the program with these arguments; what it says is kept.
 pub fn start(arguments: &[&str]) -> Child {
-    Command::new(std::env::current_exe().expect("this test has a file"))
+    let program = std::env::current_exe().expect("this test has a file");
+    begin(Command::new(program), arguments)
+}
+
+fn begin(mut program: Command, arguments: &[&str]) -> Child {
+    program
         .args(["the_program", "--exact", "--nocapture", "--test-threads=1"])
         .env(ARGUMENTS, arguments.join("\n"))
         .stdin(Stdio::null())
@@ -28,6 +33,22 @@ pub fn start(arguments: &[&str]) -> Child {
         .stderr(Stdio::piped())
         .spawn()
         .expect("it starts")
+}
+
+/// Starts the program where no file may grow beyond so many bytes: writing then fails as on a full disk,
+/// without one. `None` where the system has no prlimit.
+pub fn start_limited(arguments: &[&str], bytes: u64) -> Option<Child> {
+    if Command::new("prlimit").arg("--version").output().is_err() {
+        println!("skipped:no-prlimit");
+        return None;
+    }
+    // Without the trap the system ends a program that goes on writing.
+    let limited = "trap '' XFSZ; exec prlimit --fsize=\"$0\" \"$@\"";
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", limited, &bytes.to_string()])
+        .arg(std::env::current_exe().expect("this test has a file"));
+    Some(begin(command, arguments))
 }
 
 /// How the program ended.

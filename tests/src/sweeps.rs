@@ -4,9 +4,14 @@
 use cannula::rig::acquisition::{AcquireError, Acquisition, Shot, Sweep};
 use cannula::rig::camera::Picture;
 use cannula::rig::config::{Mode, Rig};
+#[cfg(unix)]
+use cannula::rig::link::Board;
 use cannula::rig::open::{self, Opened};
 use cannula::rig::simulated::Stage;
-use cannula::simulation::{Renderer, Subject, scan_stripe};
+#[cfg(unix)]
+use cannula::simulation::mcu::RealTime;
+use cannula::simulation::{Renderer, Scene, Subject, scan_stripe};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// rig.toml of a simulated rig with a small camera, seven slide positions for the light planes.
@@ -34,6 +39,20 @@ pub fn opened(rig: &Rig) -> (Opened, Stage) {
     let stage = opened.stage.clone().unwrap();
     stage.show(&Subject::Hand);
     (opened, stage)
+}
+
+/// The same board in real time behind a pseudo-terminal, homed, with the hand on a stage before no
+/// camera yet.
+#[cfg(unix)]
+pub fn in_real_time(rig: &Rig) -> (RealTime, Board, Stage) {
+    let real = RealTime::start(open::simulated_board(rig)).unwrap();
+    let scene = Scene::new(rig.profile(), rig.simulation.seed);
+    let renderer = Arc::new(Renderer::new(scene).unwrap());
+    let stage = Stage::new(renderer, rig.camera.exposure_laser_ms);
+    stage.show(&Subject::Hand);
+    let board = Board::connect(real.path()).unwrap();
+    assert!(open::ready(&board, rig).unwrap().is_some());
+    (real, board, stage)
 }
 
 /// How far the brightest row of each column lies from where the laser's line belongs with the

@@ -3,19 +3,21 @@
 
 use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot};
 use cannula::rig::capture::{self, CaptureError, Step};
-use cannula::rig::config::Mode;
+use cannula::rig::config::{CameraKind, Mode, Rig};
 use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
 use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula::rig::matching::Fault;
 use cannula::rig::open::{self, Opened};
+use cannula::rig::progress;
 use cannula::rig::recording::Recording;
-use cannula::rig::simulated::{Fate, SimulatedCamera, Stage};
-use cannula::simulation::mcu::{Pin, RealTime, VirtualPipe};
+use cannula::rig::simulated::{Fate, SimulatedCamera};
+use cannula::simulation::mcu::{Pin, VirtualPipe};
 use cannula::simulation::{Renderer, Scene, Subject};
 use cannula_shared::hello::ResetReason;
 use cannula_shared::units::Steps;
-use cannula_tests::sweeps::{off_by_px, opened, rig, sweep};
-use std::sync::Arc;
+use cannula_tests::sweeps::{in_real_time, off_by_px, opened, rig, sweep};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -284,6 +286,126 @@ fn broken_off(disk: bool) {
     }
 }
 
+/// Everything in a folder, byte by byte.
+fn bytes(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            all.extend(bytes(&path));
+        } else {
+            all.insert(path.clone(), std::fs::read(&path).unwrap());
+        }
+    }
+    all
+}
+
+/// A scan that was broken off does not go on with anything that its images depend on changed, nor
+/// before another scene; and what stands is left as it is.
+#[test]
+fn another_rig_or_scene_does_not_go_on_with_a_scan() {
+    let rig = rig(Mode::Stop);
+    let (mut opened, stage) = opened(&rig);
+    let dir = tempfile::tempdir().unwrap();
+    let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    let cancel = AtomicBool::new(false);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    let begun = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
+        if matches!(step, Step::Shot(s) if s.index == 5) {
+            cancel.store(true, Ordering::Relaxed);
+        }
+        Ok(())
+    });
+    assert!(begun.is_err());
+    cancel.store(false, Ordering::Relaxed);
+    let before = bytes(dir.path());
+    assert!(before.len() >= 6, "{:?}", before.keys());
+
+    type Change = fn(&mut Rig);
+    let changes: [(&str, Change); 14] = [
+        ("board.steps_per_mm", |r| r.board.steps_per_mm = [801, 1]),
+        ("board.invert_direction", |r| {
+            r.board.invert_direction = true
+        }),
+        ("board.clearance_mm", |r| r.board.clearance_mm = 5.0),
+        ("camera.kind", |r| r.camera.kind = CameraKind::Genicam),
+        ("camera.device", |r| r.camera.device = "another".into()),
+        ("camera.pixel_format", |r| {
+            r.camera.pixel_format = "Mono16".into()
+        }),
+        ("camera.region", |r| r.camera.region = [8, 8, 64, 64]),
+        ("camera.exposure_laser_ms", |r| {
+            r.camera.exposure_laser_ms = 4.0
+        }),
+        ("camera.gain_db", |r| r.camera.gain_db = 3.0),
+        ("scan.start_mm", |r| r.scan.start_mm = 15.0),
+        ("scan.spacing_mm", |r| r.scan.spacing_mm = 1.5),
+        ("scan.count", |r| r.scan.count = 11),
+        ("simulation.seed", |r| r.simulation.seed += 1),
+        ("simulation.profile", |r| {
+            r.simulation.profile = "nominal".into()
+        }),
+    ];
+    // None is forgotten.
+    let named: Vec<String> = progress::settings(&rig).into_keys().collect();
+    let mut changed = changes.map(|(key, _)| key);
+    changed.sort_unstable();
+    assert_eq!(named, changed);
+    for (key, change) in changes {
+        let mut other = rig.clone();
+        change(&mut other);
+        let refused = capture::scan(&mut acquisition, &other, &mut recording, false, &mut |_| {
+            Ok(())
+        });
+        let said = refused.unwrap_err().to_string();
+        assert!(
+            said.contains(&format!("{key} = ")) && said.contains("--force"),
+            "{key}: {said}"
+        );
+        assert_eq!(bytes(dir.path()), before, "{key}");
+    }
+
+    // The hand has gone, a board lies there; or the light has changed. Nothing was recorded since.
+    let triggers = |opened: &Opened| {
+        let pipe = opened.virtual_board.clone().unwrap();
+        let mut board = pipe.board();
+        board.trace().rises(Pin::Laser).count()
+    };
+    let lit = triggers(&opened);
+    let scene = stage.renderer().scene();
+    stage.show(&Subject::Board(scene.camera_poses[0]));
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    let refused = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |_| {
+        Ok(())
+    });
+    let said = refused.unwrap_err().to_string();
+    assert!(
+        said.contains("the scene has changed") && said.contains("--force"),
+        "{said}"
+    );
+    assert_eq!(bytes(dir.path()), before);
+    assert_eq!(triggers(&opened), lit, "the laser stayed off");
+
+    // As it was: it goes on, and what stood is untouched.
+    stage.show(&Subject::Hand);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    let scanned = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |_| {
+        Ok(())
+    })
+    .unwrap();
+    assert!(
+        scanned.stood >= 5 && scanned.sweep.shots == 12,
+        "{scanned:?}"
+    );
+    let after = bytes(dir.path());
+    for (path, image) in before
+        .iter()
+        .filter(|(path, _)| path.extension().is_some_and(|e| e == "png"))
+    {
+        assert_eq!(after.get(path), Some(image), "{}", path.display());
+    }
+}
+
 fn session_image(folder: &std::path::Path, frame: &cannula::session::Frame) -> Vec<u8> {
     std::fs::read(folder.join(&frame.image)).unwrap()
 }
@@ -351,15 +473,7 @@ fn right_after_a_killed_host_the_next_one_waits_until_the_board_stands() {
 #[test]
 fn over_a_pseudo_terminal_in_real_time() {
     let rig = rig(Mode::Constant);
-    let real = RealTime::start(open::simulated_board(&rig)).unwrap();
-    let scene = Scene::new(rig.profile(), rig.simulation.seed);
-    let stage = Stage::new(
-        Arc::new(Renderer::new(scene).unwrap()),
-        rig.camera.exposure_laser_ms,
-    );
-    stage.show(&Subject::Hand);
-    let board = Board::connect(real.path()).unwrap();
-    assert!(open::ready(&board, &rig).unwrap().is_some());
+    let (real, board, stage) = in_real_time(&rig);
     // Homed already: a second program need not home again.
     assert!(open::ready(&board, &rig).unwrap().is_none());
     let mut opened = Opened {

@@ -3,14 +3,10 @@
 //! is missing is named.
 
 use cannula::rig::config::{Mode, Rig, TriggerSource};
-use cannula::rig::link::Board;
 use cannula::rig::matching::Fault;
 use cannula::rig::open::{self, Opened};
-use cannula::rig::simulated::{Fate, Stage};
-use cannula::simulation::mcu::RealTime;
-use cannula::simulation::{Renderer, Scene, Subject};
-use cannula_tests::sweeps::{opened, rig, sweep};
-use std::sync::Arc;
+use cannula::rig::simulated::Fate;
+use cannula_tests::sweeps::{in_real_time, opened, rig, sweep};
 
 const ALL: std::ops::Range<u32> = 0..12;
 
@@ -157,15 +153,7 @@ fn a_camera_that_gives_nothing_leaves_every_position_out() {
 fn over_a_pseudo_terminal_in_real_time() {
     for trigger in [TriggerSource::Software, TriggerSource::Free] {
         let rig = own(trigger);
-        let real = RealTime::start(open::simulated_board(&rig)).unwrap();
-        let scene = Scene::new(rig.profile(), rig.simulation.seed);
-        let stage = Stage::new(
-            Arc::new(Renderer::new(scene).unwrap()),
-            rig.camera.exposure_laser_ms,
-        );
-        stage.show(&Subject::Hand);
-        let board = Board::connect(real.path()).unwrap();
-        open::ready(&board, &rig).unwrap();
+        let (real, board, stage) = in_real_time(&rig);
         let mut opened = Opened {
             camera: Box::new(open::beside(&rig, &stage, real.board())),
             board,

@@ -341,31 +341,75 @@ fn a_full_disk_stops_the_scan_with_the_laser_off_and_files_whole() {
     };
     let (status, said) = bench.run(&["capture", "camera", "--poses", "2", "--out", &out]);
     assert_eq!(status, Some(0), "{said}");
-    let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
+    let ended = bench.run(&["capture", "scan", "--out", &out]);
+    broken_off(&bench, &out, &ended, "No space left on device");
+    // With room again it goes on where it was broken off.
+    disk.grow(60_000);
+    goes_on(&bench, &out);
+}
+
+/// A scan ended by what the disk said: in one sentence, with the laser off and the slide at rest, what
+/// stands whole and named.
+fn broken_off(bench: &Bench, out: &str, (status, said): &(Option<i32>, String), cause: &str) {
     let full_at = bench.now_us();
-    assert_eq!(status, Some(1), "{said}");
-    assert!(
-        said.contains("/disk/scan/") && said.contains("No space left on device"),
-        "{said}"
-    );
+    assert_eq!(*status, Some(1), "{said}");
+    let image = format!("{out}/scan/");
+    assert!(said.contains(&image) && said.contains(cause), "{said}");
     assert_eq!(
         said.trim().lines().count(),
         2,
         "one sentence, after the camera's name: {said}"
     );
     bench.safe(full_at, 0);
-    let images = whole(Path::new(&out));
+    let images = whole(Path::new(out));
     assert!((3..62).contains(&images), "{images}");
-    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    let session = cannula::session::Session::open(Path::new(out)).unwrap();
     assert_eq!(session.manifest.camera.len(), 2);
     assert!(session.manifest.scan.is_none());
+}
 
-    // With room again it goes on where it was broken off.
-    disk.grow(60_000);
-    let (status, said) = bench.run(&["capture", "scan", "--out", &out]);
+fn goes_on(bench: &Bench, out: &str) {
+    let (status, said) = bench.run(&["capture", "scan", "--out", out]);
     assert_eq!(status, Some(0), "{said}");
-    let session = cannula::session::Session::open(Path::new(&out)).unwrap();
+    let session = cannula::session::Session::open(Path::new(out)).unwrap();
     assert_eq!(session.manifest.scan.as_ref().unwrap().frames.len(), 60);
     assert_eq!(session.manifest.camera.len(), 2);
-    whole(Path::new(&out));
+    whole(Path::new(out));
+}
+
+/// The same where no disk can be made: a file can't be written to its end, as on a full one.
+#[test]
+fn a_file_that_can_not_be_written_stops_the_scan_with_the_laser_off_and_files_whole() {
+    let bench = Bench::new();
+    let out = bench.path("session");
+    let (status, said) = bench.run(&["capture", "camera", "--poses", "2", "--out", &out]);
+    assert_eq!(status, Some(0), "{said}");
+    // How large the images of this scan are: the noise is the scene's own, the same each time.
+    let trial = bench.path("trial");
+    let (status, said) = bench.run(&["capture", "scan", "--out", &trial]);
+    assert_eq!(status, Some(0), "{said}");
+    let sizes: Vec<u64> = images(&Path::new(&trial).join("scan"))
+        .iter()
+        .map(|p| std::fs::metadata(p).unwrap().len())
+        .collect();
+    // All fit but the largest, one of the frames: the image without laser comes last by its name.
+    let most = *sizes.iter().max().unwrap();
+    let at = sizes.iter().position(|s| *s == most).unwrap();
+    println!("frame {at} has {most} bytes");
+    assert!((4..60).contains(&at), "{sizes:?}");
+    let config = bench.config.to_str().unwrap();
+    let words = ["capture", "scan", "--out", &out, "--config", config];
+    let Some(limited) = program::start_limited(&words, most - 1) else {
+        return;
+    };
+    let ended = wait(limited, LIMIT);
+    broken_off(&bench, &out, &ended, "File too large");
+    let scan = Path::new(&out).join("scan");
+    assert!(
+        ended.1.contains(&format!("scan/{at:03}.png")),
+        "{}",
+        ended.1
+    );
+    assert!(images(&scan).len() >= at, "those before it stand");
+    goes_on(&bench, &out);
 }

@@ -3,9 +3,48 @@
 
 use super::{Check, Checks};
 use crate::checks::Check as Made;
-use crate::output::{age, age_words, calibration_checks, read_calibration};
+use crate::output::{CalibrationFile, age, age_words, calibration_checks, read_calibration};
+use crate::pipeline::{PipelineError, belong_together};
 use crate::rig::config::Rig;
 use std::path::Path;
+
+/// Whether the planned scan can be worked on with it: what the scan itself will say.
+fn light_planes(file: &Path, found: &CalibrationFile, rig: Option<&Rig>, c: &mut Checks) {
+    const WHAT: &str = "light planes";
+    let Some(model) = found.rig() else {
+        return c.wrong(
+            WHAT,
+            "none in it".to_owned(),
+            "`cannula capture light --out session`, then calibrate again",
+        );
+    };
+    let positions = found.positions();
+    let least = positions.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = positions.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let calibrated = format!("calibrated from {least} to {most} mm");
+    let Some(rig) = rig else {
+        return c.good(WHAT, calibrated);
+    };
+    let planned = rig.scan.positions();
+    // The image's size is another check's business.
+    let size = (model.camera.width, model.camera.height);
+    match belong_together(file, size, &model, &positions, &planned) {
+        Ok(weak) if weak.is_empty() => {
+            let (first, last) = (planned.first(), planned.last());
+            let ends = first
+                .zip(last)
+                .map(|(a, b)| format!(", scanned from {a} to {b} mm"));
+            c.good(WHAT, calibrated + &ends.unwrap_or_default());
+        }
+        Ok(weak) => c.weak(
+            WHAT,
+            weak.join("; "),
+            "widen [light] and calibrate again, or narrow [scan]",
+        ),
+        Err(PipelineError::Mismatch { what, remedy, .. }) => c.wrong(WHAT, what, remedy),
+        Err(e) => c.wrong(WHAT, e.to_string(), "calibrate again"),
+    }
+}
 
 /// Looks at a calibration file; `size` is the camera's image size, `rig` the configuration, where
 /// they are known.
@@ -43,40 +82,7 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
         ),
         None => c.skipped("camera", "needs the camera"),
     }
-    let positions = found.positions();
-    let range = positions
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| {
-            (a.min(*x), b.max(*x))
-        });
-    match (&found.light, rig) {
-        (None, _) => c.wrong(
-            "light planes",
-            "none in it".to_owned(),
-            "`cannula capture light --out session`, then calibrate again",
-        ),
-        (Some(_), Some(rig)) => {
-            let scan = &rig.scan;
-            let last = scan.start_mm + scan.spacing_mm * f64::from(scan.count.saturating_sub(1));
-            let words = format!(
-                "calibrated from {} to {} mm, scanned from {} to {last} mm",
-                range.0, range.1, scan.start_mm
-            );
-            if positions.len() > 1 && (scan.start_mm < range.0 - 1e-6 || last > range.1 + 1e-6) {
-                c.weak(
-                    "light planes",
-                    words,
-                    "depth beyond is extrapolated: widen [light] and calibrate again, or narrow [scan]",
-                );
-            } else {
-                c.good("light planes", words);
-            }
-        }
-        (Some(_), None) => c.good(
-            "light planes",
-            format!("from {} to {} mm", range.0, range.1),
-        ),
-    }
+    light_planes(file, &found, rig, &mut c);
     let now = jiff::Timestamp::now();
     match age(&found) {
         Some(then) => c.good("age", age_words(then, now)),

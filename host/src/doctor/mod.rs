@@ -15,6 +15,7 @@ pub use machine::machine;
 use crate::rig::config::{CameraKind, Rig};
 use crate::rig::open::{self, Opened, SIMULATED};
 use serde::Serialize;
+use std::path::Path;
 
 /// How a check ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -99,11 +100,14 @@ pub fn configuration(loaded: &Result<Rig, String>, file: Option<&str>) -> Vec<Ch
                 "write one with `cannula config --example > rig.toml`, give it with --config rig.toml",
             ),
         },
-        Err(said) => c.wrong(
-            "file",
-            said.clone(),
-            "mend that key; `cannula config --example` shows each with its meaning",
-        ),
+        Err(said) => {
+            let missing = file.is_some_and(|file| !Path::new(file).exists());
+            let remedy = match file {
+                Some(file) if missing => format!("`cannula config --example > {file}`, then change what differs"),
+                _ => "mend that key; `cannula config --example` shows each with its meaning".to_owned(),
+            };
+            c.wrong("file", said.clone(), &remedy);
+        }
     }
     c.list
 }

@@ -131,8 +131,24 @@ fn a_calibration_is_held_against_camera_and_scan() {
     let r = simulated();
     let checks = calibration(Some(&path), Some((1280, 960)), Some(&r));
     assert_eq!(state(&checks, "calibration", "camera"), State::Wrong);
-    // Scanned to 60 mm, calibrated to 20.
-    assert_eq!(state(&checks, "calibration", "light planes"), State::Weak);
+    // Calibrated from 0 to 20 mm; a scan says the same of where it may go.
+    for (start_mm, count, expected) in [
+        (0.0, 11, State::Good),
+        // A hundredth of the range is no extrapolation worth a word.
+        (0.19, 11, State::Good),
+        (0.21, 11, State::Weak),
+        (0.0, 15, State::Weak),
+        (0.0, 31, State::Wrong),
+    ] {
+        let mut planned = r.clone();
+        (planned.scan.start_mm, planned.scan.count) = (start_mm, count);
+        let checks = calibration(Some(&path), None, Some(&planned));
+        assert_eq!(
+            state(&checks, "calibration", "light planes"),
+            expected,
+            "{start_mm} {count}"
+        );
+    }
     let doubts: Vec<&Check> = checks.iter().filter(|c| c.what == "trust").collect();
     assert!(
         doubts.iter().any(|c| c.found.contains("days old")),
@@ -141,5 +157,34 @@ fn a_calibration_is_held_against_camera_and_scan() {
     assert!(
         doubts.iter().any(|c| c.found.contains("0.90 px")),
         "{checks:#?}"
+    );
+}
+
+#[test]
+fn a_configuration_that_is_missing_can_be_begun() {
+    let loaded = Rig::load(Path::new("/no/such/rig.toml")).map_err(|e| e.to_string());
+    let said = loaded.as_ref().unwrap_err().clone();
+    assert!(
+        said.starts_with("/no/such/rig.toml: there is no such file")
+            && said.contains("config --example"),
+        "{said}"
+    );
+    let checks = configuration(&loaded, Some("/no/such/rig.toml"));
+    assert_eq!(checks[0].state, State::Wrong);
+    assert!(
+        checks[0]
+            .remedy
+            .contains("config --example > /no/such/rig.toml"),
+        "{checks:?}"
+    );
+    // One that is there is mended, not begun anew.
+    let there = tempfile::NamedTempFile::new().unwrap();
+    let path = there.path().to_str().unwrap();
+    std::fs::write(path, "[board]\nspeed = 3").unwrap();
+    let loaded = Rig::load(there.path()).map_err(|e| e.to_string());
+    assert!(
+        configuration(&loaded, Some(path))[0]
+            .remedy
+            .starts_with("mend that key")
     );
 }

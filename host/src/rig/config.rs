@@ -15,6 +15,12 @@ pub const EXAMPLE: &str = include_str!("example.toml");
 /// What is wrong with a configuration: the file, the key, what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// There is none.
+    #[error("{path}: there is no such file; `cannula config --example > {path}` writes one to begin with", path = path.display())]
+    Missing {
+        /// The file.
+        path: PathBuf,
+    },
     /// It can't be read.
     #[error("{path}: can't be read", path = path.display())]
     Read {
@@ -288,9 +294,12 @@ impl Default for Simulation {
 impl Rig {
     /// Reads and checks a configuration file.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
+        let text = std::fs::read_to_string(path).map_err(|source| {
+            let path = path.to_owned();
+            match source.kind() {
+                std::io::ErrorKind::NotFound => ConfigError::Missing { path },
+                _ => ConfigError::Read { path, source },
+            }
         })?;
         Self::parse(&text, path)
     }

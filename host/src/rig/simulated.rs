@@ -226,13 +226,13 @@ enum Cable {
     /// A simulated board in this process.
     Wired(Box<dyn FnMut() -> Vec<Edge> + Send>),
     /// The ledger: the board is behind a port, and no cable leads here.
-    Ledger(Ledger),
+    Ledger(FromLedger),
     /// None: it exposes by command or by itself, beside a simulated board.
     Own(Own),
 }
 
 /// What the ledger tells of the slide.
-struct Ledger {
+struct FromLedger {
     mm_per_step: f64,
     /// Speed of a scan on the fly, mm/s; 0 where scans stop.
     speed_mm_s: f64,
@@ -240,7 +240,7 @@ struct Ledger {
     before: Option<(u64, f64)>,
 }
 
-impl Ledger {
+impl FromLedger {
     /// A trigger comes from a slide in motion if it follows the one before as fast as a scan
     /// travels; the first of a sweep passes for one at rest.
     fn edge(&mut self, trigger: &Trigger) -> Edge {
@@ -319,7 +319,7 @@ impl SimulatedCamera {
     pub fn by_ledger(stage: Stage, mm_per_step: f64, speed_mm_s: f64) -> Self {
         Self {
             stage,
-            cable: Cable::Ledger(Ledger {
+            cable: Cable::Ledger(FromLedger {
                 mm_per_step,
                 speed_mm_s,
                 before: None,
