@@ -29,18 +29,18 @@ fn light_planes(file: &Path, found: &CalibrationFile, rig: Option<&Rig>, c: &mut
     // The image's size is another check's business.
     let size = (model.camera.width, model.camera.height);
     match belong_together(file, size, &model, &positions, &planned) {
-        Ok(weak) if weak.is_empty() => {
-            let (first, last) = (planned.first(), planned.last());
-            let ends = first
-                .zip(last)
-                .map(|(a, b)| format!(", scanned from {a} to {b} mm"));
-            c.good(WHAT, calibrated + &ends.unwrap_or_default());
-        }
-        Ok(weak) => c.weak(
-            WHAT,
-            weak.join("; "),
-            "widen [light] and calibrate again, or narrow [scan]",
-        ),
+        Ok(made) => match made.into_iter().find(|m| !m.sound()) {
+            Some(weak) => c.weak(
+                WHAT,
+                format!("{}: {}", weak.words, weak.remedy),
+                "widen [light] and calibrate again, or narrow [scan]",
+            ),
+            None => {
+                let ends = planned.first().zip(planned.last());
+                let ends = ends.map(|(a, b)| format!(", scanned from {a} to {b} mm"));
+                c.good(WHAT, calibrated + &ends.unwrap_or_default());
+            }
+        },
         Err(PipelineError::Mismatch { what, remedy, .. }) => c.wrong(WHAT, what, remedy),
         Err(e) => c.wrong(WHAT, e.to_string(), "calibrate again"),
     }
