@@ -9,6 +9,7 @@ use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
 use crate::progress::Progress;
 use crate::session::{LightPose, Session};
+use crate::stripe::paper::board as paper;
 use crate::stripe::{self, StripeError, StripePoint};
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -95,6 +96,7 @@ impl Looker<'_> {
                 // show the corners as all other views do.
                 let stack = (laser.is_none() && self.method == Method::Ml)
                     .then(|| Mutex::new(Stack::new(background, found)));
+                let behind = self.behind(Some(background), corners);
                 let stripes = pose
                     .on
                     .par_iter()
@@ -102,7 +104,7 @@ impl Looker<'_> {
                         let on = self
                             .times
                             .time(Stage::Read, || self.session.laser::<P>(&frame.image))?;
-                        let points = self.stripe(&on, Some(background), &corners, &frame.image)?;
+                        let points = self.stripe(&on, &behind, &frame.image)?;
                         if let (Some(stack), Ok(points)) = (&stack, &points) {
                             self.times.time(Stage::Corners, || pile(stack, &on, points));
                         }
@@ -139,7 +141,8 @@ impl Looker<'_> {
                 let stripe = match &board {
                     Ok(found) => {
                         let on = laser.as_ref().unwrap_or(&luma);
-                        self.stripe(on, None, &pixels(&found.corners), &frame.image)?
+                        let behind = self.behind(None, pixels(&found.corners));
+                        self.stripe(on, &behind, &frame.image)?
                     }
                     Err(reason) => Err(reason.to_string()),
                 };
@@ -176,32 +179,57 @@ impl Looker<'_> {
         })
     }
 
+    fn behind<'i, P: Pixel>(
+        &self,
+        off: Option<&'i Image<P>>,
+        corners: Vec<Vector2>,
+    ) -> Behind<'i, P> {
+        match self.method {
+            Method::Ml => Behind::Ml(off, corners),
+            Method::Paper => self.times.time(Stage::BoardStripe, || {
+                Behind::Paper(paper::Rectified::new(off, &corners, &self.board))
+            }),
+        }
+    }
+
     /// The stripe in one image. Outer error: the recording is wrong. Inner: this image is no use.
     fn stripe<P: Pixel>(
         &self,
         on: &Image<P>,
-        off: Option<&Image<P>>,
-        corners: &[Vector2],
+        behind: &Behind<P>,
         name: &str,
     ) -> Result<Result<Vec<StripePoint>, String>, PipelineError> {
         let (columns, rows) = (self.board.columns, self.board.rows);
-        self.times.time(Stage::BoardStripe, || match self.method {
-            Method::Ml => match stripe::board::extract(on, off, corners, columns, rows) {
-                Err(source @ (StripeError::Swapped | StripeError::Size { .. })) => {
-                    Err(PipelineError::Stripe {
-                        path: self.session.path(name),
-                        source,
-                    })
+        self.times.time(Stage::BoardStripe, || match behind {
+            Behind::Ml(off, corners) => {
+                match stripe::board::extract(on, *off, corners, columns, rows) {
+                    Err(source @ (StripeError::Swapped | StripeError::Size { .. })) => {
+                        Err(PipelineError::Stripe {
+                            path: self.session.path(name),
+                            source,
+                        })
+                    }
+                    found => Ok(found.map_err(|e| e.to_string())),
                 }
-                found => Ok(found.map_err(|e| e.to_string())),
-            },
-            Method::Paper => {
+            }
+            Behind::Paper(rectified) => {
                 let settings = &self.settings.paper_board;
-                let found = stripe::paper::board::extract(on, off, corners, &self.board, settings);
+                let found = rectified
+                    .as_ref()
+                    .map_err(Clone::clone)
+                    .and_then(|rectified| paper::extract(on, rectified, settings));
                 Ok(found.map_err(|e| e.to_string()))
             }
         })
     }
+}
+
+/// What the stripes of one pose stand out from.
+enum Behind<'a, P> {
+    /// The image without the laser, where there is one, and the board's corners.
+    Ml(Option<&'a Image<P>>, Vec<Vector2>),
+    /// The board rectified.
+    Paper(Result<paper::Rectified, paper::Error>),
 }
 
 /// Widths of the stripe, and pixels, around its centre line that it may light.

@@ -92,34 +92,54 @@ struct Square {
     skeleton: Vec<Vector2>,
 }
 
-/// Points on the stripe's centre line in the image (one for each skeleton pixel that was kept,
-/// moved onto the fitted line). `corners` in the board's order; `off` may be missing, then each
-/// square's own median serves as its background.
-pub fn extract<P: Pixel>(
-    on: &Image<P>,
-    off: Option<&Image<P>>,
-    corners: &[Vector2],
-    board: &BoardGeometry,
-    settings: &Settings,
-) -> Result<Vec<StripePoint>, Error> {
-    // Rectified pixels: a square keeps about the size that it has in the image.
-    let side = square_side(corners, board).ok_or(Error::Corners {
-        given: corners.len(),
-        columns: board.columns,
-        rows: board.rows,
-    })?;
-    let grid: Vec<Vector2> = (0..board.corners())
-        .map(|i| Vector2::new((i % board.columns) as f64, (i / board.columns) as f64) * side)
-        .collect();
-    let to_image = Homography::fit(&grid, corners)?;
-    let width = ((board.columns - 1) as f64 * side).floor() as u32 + 1;
-    let height = ((board.rows - 1) as f64 * side).floor() as u32 + 1;
-    let rectify = |image: &Image<P>| {
-        let mut out = GrayImage::new(width, height);
+/// The board rectified: a square keeps about the size that it has in the image.
+#[derive(Clone, Debug)]
+pub struct Rectified {
+    board: BoardGeometry,
+    /// Of a square, in rectified pixels.
+    side: f64,
+    size: (u32, u32),
+    to_image: Homography,
+    off: Option<GrayImage>,
+}
+
+impl Rectified {
+    /// `corners` in the board's order; the image without the laser may be missing, then each
+    /// square's own median serves as its background.
+    ///
+    /// # Errors
+    /// [`Error::Corners`], [`Error::NoHomography`].
+    pub fn new<P: Pixel>(
+        off: Option<&Image<P>>,
+        corners: &[Vector2],
+        board: &BoardGeometry,
+    ) -> Result<Self, Error> {
+        let side = square_side(corners, board).ok_or(Error::Corners {
+            given: corners.len(),
+            columns: board.columns,
+            rows: board.rows,
+        })?;
+        let grid: Vec<Vector2> = (0..board.corners())
+            .map(|i| Vector2::new((i % board.columns) as f64, (i / board.columns) as f64) * side)
+            .collect();
+        let whole = |squares: usize| (squares as f64 * side).floor() as u32 + 1;
+        let mut rectified = Self {
+            board: *board,
+            side,
+            size: (whole(board.columns - 1), whole(board.rows - 1)),
+            to_image: Homography::fit(&grid, corners)?,
+            off: None,
+        };
+        rectified.off = off.map(|off| rectified.warp(off));
+        Ok(rectified)
+    }
+
+    fn warp<P: Pixel>(&self, image: &Image<P>) -> GrayImage {
+        let mut out = GrayImage::new(self.size.0, self.size.1);
         warp_into_with(
             &to_gray(image),
             |x, y| {
-                let p = to_image.apply(&Vector2::new(x as f64, y as f64));
+                let p = self.to_image.apply(&Vector2::new(x as f64, y as f64));
                 (p.x as f32, p.y as f32)
             },
             Interpolation::Bilinear,
@@ -127,9 +147,28 @@ pub fn extract<P: Pixel>(
             &mut out,
         );
         out
-    };
-    let on = rectify(on);
-    let off = off.map(rectify);
+    }
+}
+
+/// Points on the stripe's centre line in the image (one for each skeleton pixel that was kept,
+/// moved onto the fitted line).
+///
+/// # Errors
+/// [`Error::TooFewSquares`].
+pub fn extract<P: Pixel>(
+    on: &Image<P>,
+    rectified: &Rectified,
+    settings: &Settings,
+) -> Result<Vec<StripePoint>, Error> {
+    let Rectified {
+        board,
+        side,
+        to_image,
+        off,
+        ..
+    } = rectified;
+    let side = *side;
+    let on = rectified.warp(on);
 
     let mut squares = Vec::new();
     for row in 0..board.rows - 1 {

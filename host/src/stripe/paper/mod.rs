@@ -13,12 +13,13 @@ use ::image::GrayImage;
 
 /// Eight bits of grey for the library routines (the paper works on 8-bit images).
 fn to_gray<P: Pixel>(image: &Image<P>) -> GrayImage {
-    let scale = 255.0 / P::MAX;
-    let pixels = image
-        .pixels()
-        .iter()
-        .map(|&p| (p.into() * scale).round() as u8)
-        .collect();
+    let pixels = if P::BITS <= 8 {
+        P::to_be_bytes(image.pixels()).into_owned()
+    } else {
+        let scale = 255.0 / P::MAX;
+        let grey = |p: &P| ((*p).into() * scale).round() as u8;
+        image.pixels().iter().map(grey).collect()
+    };
     // The sizes agree by construction; an empty image is the harmless alternative.
     GrayImage::from_raw(image.width() as u32, image.height() as u32, pixels).unwrap_or_default()
 }
