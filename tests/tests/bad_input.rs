@@ -305,6 +305,16 @@ fn an_entry_off_the_hand_is_named() {
     }
 }
 
+/// A region between two stripes, or with too few points in it, is told from a hand that was missed.
+#[test]
+fn a_region_that_is_too_small_names_the_radius() {
+    for radius in [0.6, 2.5] {
+        let mut bad = recording();
+        bad.entry.as_mut().unwrap().radius_mm = radius;
+        refused(&bad, &["give a larger radius_mm"]);
+    }
+}
+
 /// Without dark images the corners and the stripe come from the lit ones. At a quarter of the
 /// resolution the stripe can't be told from the squares: that is said, with what to record.
 #[test]

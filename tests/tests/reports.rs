@@ -535,6 +535,28 @@ fn charts_come_as_asked() {
         let side = |at: usize| u32::from_be_bytes(image[at..at + 4].try_into().unwrap());
         assert_eq!((side(16), side(20)), (1000, 700), "{what}");
     }
+    // A frame that is not there is told from one without a stripe, and the cloud's entry is marked.
+    for (frame, code) in [("0", 0), ("99", 1)] {
+        let words = [
+            "plot",
+            "stripes",
+            &session,
+            "-o",
+            &path("b.svg"),
+            "--frame",
+            frame,
+        ];
+        assert_eq!(run(&words), code, "frame {frame}");
+    }
+    assert_eq!(
+        run(&["plot", "cloud", &path("out"), "-o", &path("c.svg")]),
+        0
+    );
+    assert!(
+        std::fs::read_to_string(path("c.svg"))
+            .unwrap()
+            .contains("entry")
+    );
     let bad = [
         "plot",
         "cloud",

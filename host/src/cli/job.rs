@@ -55,8 +55,9 @@ pub struct NeedleArgs {
     /// Write the cloud as cloud.csv too, with pixels and uncertainties.
     #[arg(long)]
     csv: bool,
-    /// Simulate the puncture at 30, 45 and 60° for the report (about 12 s) instead of drawing the
-    /// fast model's curves.
+    /// Simulate the puncture at 30, 45 and 60° and at a given angle for the report instead of drawing
+    /// the fast model's curves: about 4 s an angle on two idle cores, up to 20 s on a busy or an older
+    /// machine; a bar shows how far it is.
     #[arg(long)]
     puncture: bool,
 }

@@ -113,14 +113,26 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 )
             })?;
             let points = read_ply(file).with_context(|| path.display().to_string())?;
-            (job, vec![chart::cloud(&points, None)])
+            (job, vec![chart::cloud(&points, entry(&path))])
         }
         What::Stripes { job, frame } => {
             let session = Session::open(&job.input)?;
+            let frames = session.manifest.scan.as_ref().map_or(0, |s| s.frames.len());
+            if let Some(asked) = frame
+                && asked >= frames
+                && frames > 0
+            {
+                anyhow::bail!(
+                    "{}: its scan has no frame {asked}; give --frame 0 to {}",
+                    session.file().display(),
+                    frames - 1
+                );
+            }
             let sample = stripe_sample(&session, frame)?.ok_or_else(|| {
                 anyhow::anyhow!(
-                    "{}: no stripe in that frame; give another with --frame",
-                    session.file().display()
+                    "{}: frame {} shows no stripe on the hand; give another with --frame",
+                    session.file().display(),
+                    frame.unwrap_or(frames / 2)
                 )
             })?;
             let middle = stripe_middle(&session, &sample)?;
@@ -146,6 +158,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     write(&job.output, &plots, size)?;
     let written = serde_json::json!({ "file": job.output });
     out.result(&written, || format!("written: {}", job.output.display()))
+}
+
+/// The entry of the result beside a cloud, if there is one of this cloud.
+fn entry(cloud: &Path) -> Option<[f64; 3]> {
+    let text = std::fs::read(cloud.with_file_name("result.json")).ok()?;
+    let result: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    let own = result["cloud"]["file"].as_str() == cloud.file_name()?.to_str();
+    let point = result["entry"]["point_mm"].as_array().filter(|_| own)?;
+    let at = |k: usize| point.get(k)?.as_f64();
+    Some([at(0)?, at(1)?, at(2)?])
 }
 
 fn write(path: &Path, plots: &[Plot], size: figure::Size) -> anyhow::Result<()> {

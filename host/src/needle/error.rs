@@ -5,7 +5,7 @@
 pub enum NeedleError {
     /// The cloud is empty around the entry.
     #[error(
-        "{points} points on {stripes} stripes in the entry region; {needed_points} on {needed_stripes} are needed: scan with smaller steps, or check laser and exposure"
+        "{points} points on {stripes} stripes in the entry region; {needed_points} on {needed_stripes} are needed: give a larger radius_mm, scan with smaller steps, or check laser and exposure"
     )]
     TooFewPoints {
         /// Points in the region.
@@ -22,6 +22,16 @@ pub enum NeedleError {
         "the entry pixel lies off the measured surface: the nearest point is {distance_mm:.1} mm away; check entry.pixel, or scan farther"
     )]
     OffSurface {
+        /// To the nearest measured point, mm.
+        distance_mm: f64,
+    },
+    /// The region falls between the stripes.
+    #[error(
+        "no measured point lies within radius_mm = {radius_mm} mm of the entry, the nearest is {distance_mm:.1} mm away: give a larger radius_mm (12 is usual), or scan with smaller steps"
+    )]
+    SmallRegion {
+        /// Radius that was asked for, mm.
+        radius_mm: f64,
         /// To the nearest measured point, mm.
         distance_mm: f64,
     },

@@ -468,8 +468,14 @@ fn local_frame(
         .collect();
     if near.is_empty() {
         let far = cloud.iter().map(|p| (p.position - start).norm());
-        return Err(NeedleError::OffSurface {
-            distance_mm: far.fold(f64::INFINITY, f64::min),
+        let distance_mm = far.fold(f64::INFINITY, f64::min);
+        // Between two stripes, or beside the hand?
+        return Err(match distance_mm <= limits.gap_mm {
+            true => NeedleError::SmallRegion {
+                radius_mm,
+                distance_mm,
+            },
+            false => NeedleError::OffSurface { distance_mm },
         });
     }
     let stripes = frames(&near);

@@ -1,6 +1,6 @@
 //! The cloud from above.
 
-use super::{Kind, Plot, Series};
+use super::{Kind, PALETTE, Plot, Series};
 
 /// X and Y of the points in bands of height (Z), the entry marked.
 pub fn cloud(points: &[[f32; 3]], entry: Option<[f64; 3]>) -> Plot {
@@ -24,13 +24,14 @@ pub fn cloud(points: &[[f32; 3]], entry: Option<[f64; 3]>) -> Plot {
             .collect();
         series.push(Series::new(
             &format!("Z {lo:.1} to {hi:.1} mm"),
-            k,
+            // The nearest is the lightest, as in the turnable view.
+            PALETTE.len() + BANDS - 1 - k,
             Kind::Points,
             inside,
         ));
     }
     if let Some(e) = entry {
-        series.push(Series::new("entry", 5, Kind::Crosses, vec![(e[0], e[1])]));
+        series.push(Series::new("entry", 1, Kind::Crosses, vec![(e[0], e[1])]));
     }
     let mut plot = Plot {
         title: "The cloud from the camera".into(),

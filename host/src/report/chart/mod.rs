@@ -33,6 +33,22 @@ pub const PALETTE: [RGBColor; 6] = [
     RGBColor(0x56, 0xB4, 0xE9),
 ];
 
+/// Colours in an order, far to near, after those of [`PALETTE`]: five of viridis, the light end left
+/// out, for it is lost on white.
+const ORDERED: [RGBColor; 5] = [
+    RGBColor(0x44, 0x01, 0x54),
+    RGBColor(0x3E, 0x4A, 0x89),
+    RGBColor(0x26, 0x82, 0x8E),
+    RGBColor(0x35, 0xB7, 0x79),
+    RGBColor(0xA6, 0xD0, 0x2B),
+];
+
+/// The colour of a series' number.
+fn colour(number: usize) -> RGBColor {
+    let all = PALETTE.iter().chain(&ORDERED);
+    all.cycle().nth(number).copied().unwrap_or(INK)
+}
+
 /// How a series is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
@@ -59,7 +75,7 @@ pub enum Kind {
 pub struct Series {
     /// In the legend; empty for none.
     pub name: String,
-    /// Index in [`PALETTE`].
+    /// Index in [`PALETTE`], and then in [`ORDERED`].
     pub colour: usize,
     /// How it is drawn.
     pub kind: Kind,
@@ -177,7 +193,7 @@ impl Plot {
             if named && next > width {
                 (x, y) = (px(64), y + px(18));
             }
-            let colour = PALETTE[series.colour % PALETTE.len()];
+            let colour = colour(series.colour);
             key(area, &series.kind, colour, (x, y), pen)?;
             let words = style.pos(Pos::new(HPos::Left, VPos::Center));
             area.draw(&Text::new(series.name.clone(), (x + px(24), y), words))?;
@@ -241,7 +257,7 @@ impl Plot {
             }))?;
         }
         for series in &self.series {
-            let colour = PALETTE[series.colour % PALETTE.len()];
+            let colour = colour(series.colour);
             let points = || {
                 series
                     .points
@@ -416,7 +432,11 @@ fn label_format(range: (f64, f64)) -> impl Fn(f64) -> String {
         } else {
             text
         };
-        if text == "-0" { "0".into() } else { text }
+        match text.strip_prefix('-') {
+            Some("0") => "0".into(),
+            Some(rest) => format!("−{rest}"),
+            None => text,
+        }
     }
 }
 
