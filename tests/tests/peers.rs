@@ -87,3 +87,61 @@ fn no_peer_is_more_exact_and_the_papers_way_is_the_papers() {
         assert!(report["corners"]["no_board_reason"].is_string());
     }
 }
+
+/// Other programs read every point of a cloud where it is, and draw its brightness as a grey. Skipped in
+/// a word where Python has none of them.
+#[test]
+fn other_programs_read_the_cloud() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().display().to_string();
+    let session = cannula_tests::truth::committed("tiny-1001")
+        .display()
+        .to_string();
+    let words = [
+        "cannula", "--quiet", "process", &session, "--csv", "--out", &out,
+    ];
+    assert_eq!(cannula::cli::main(words.map(Into::into)), 0);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/cloud.py");
+    let cloud = dir.path().join("cloud.ply");
+    let run = Command::new("python3").arg(script).arg(cloud).output();
+    let Ok(run) = run else {
+        println!("skipped");
+        return;
+    };
+    let said = String::from_utf8_lossy(&run.stdout);
+    if said.trim() == "skipped" {
+        println!("skipped");
+        return;
+    }
+    println!("{said}{}", String::from_utf8_lossy(&run.stderr));
+    assert!(run.status.success());
+    // The same cloud as text, whose columns are named.
+    let csv = std::fs::read_to_string(dir.path().join("cloud.csv")).unwrap();
+    let rows: Vec<Vec<f64>> = csv
+        .lines()
+        .skip(1)
+        .map(|l| l.split(',').map(|c| c.parse().unwrap()).collect())
+        .collect();
+    let mean = |k: usize| rows.iter().map(|r| r[k]).sum::<f64>() / rows.len() as f64;
+    let brightest = rows.iter().map(|r| r[6]).fold(0.0, f64::max);
+    let programs: Value = serde_json::from_str(&said).unwrap();
+    for (name, read) in programs.as_object().unwrap() {
+        assert_eq!(read["points"], rows.len(), "{name}");
+        for k in 0..3 {
+            let found = read["mean_mm"][k].as_f64().unwrap();
+            assert!(
+                (found - mean(k)).abs() < 1e-3,
+                "{name}: {found} {}",
+                mean(k)
+            );
+        }
+        // MeshLab takes the whole part of a grey value.
+        if let Some(grey) = read["grey"].as_f64() {
+            let off = 255.0 * mean(6) / brightest - grey;
+            assert!((-0.01..1.01).contains(&off), "{name}: {grey}");
+        }
+        if let Some(quality) = read["quality"].as_f64() {
+            assert!((quality - mean(7)).abs() < 1e-3, "{name}: {quality}");
+        }
+    }
+}

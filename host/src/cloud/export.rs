@@ -4,7 +4,8 @@ use super::CloudPoint;
 use std::io::{self, BufWriter, Write};
 
 /// Binary PLY with x, y, z (mm), intensity, quality, sigma_mm and frame of each point; `comment`
-/// goes into the header (one line).
+/// goes into the header (one line). The intensity is a part of the brightest point's, 0 to 1: MeshLab
+/// draws it as a grey, and grey values as white.
 pub fn write_ply(out: impl Write, points: &[CloudPoint], comment: &str) -> io::Result<()> {
     let mut out = BufWriter::new(out);
     let comment = comment.replace(['\n', '\r'], " ");
@@ -12,18 +13,20 @@ pub fn write_ply(out: impl Write, points: &[CloudPoint], comment: &str) -> io::R
         out,
         "ply\nformat binary_little_endian 1.0\ncomment {comment}\n\
          comment millimetres, camera frame: x right, y down, z away\n\
+         comment intensity: part of the brightest point's\n\
          element vertex {}\n\
          property float x\nproperty float y\nproperty float z\n\
          property float intensity\nproperty float quality\nproperty float sigma_mm\n\
          property int frame\nend_header\n",
         points.len()
     )?;
+    let brightest = points.iter().map(|p| p.intensity).fold(0.0, f32::max);
     for p in points {
         let values = [
             p.position.x as f32,
             p.position.y as f32,
             p.position.z as f32,
-            p.intensity,
+            p.intensity / brightest.max(f32::MIN_POSITIVE),
             p.quality,
             p.sigma_mm,
         ];
@@ -74,7 +77,7 @@ mod tests {
                 position: Point3::new(f64::from(i), -2.5, 430.0),
                 pixel: Vector2::new(10.0, 20.0),
                 frame: i as u32,
-                intensity: 99.0,
+                intensity: 25.0 * (i + 2) as f32,
                 sigma_mm: 0.02,
                 shift: Vector3::z(),
                 correlation: 1.0,
@@ -99,7 +102,7 @@ mod tests {
         let f = |i: usize| f32::from_le_bytes(second[4 * i..4 * i + 4].try_into().unwrap());
         assert_eq!(
             [f(0), f(1), f(2), f(3), f(4)],
-            [1.0, -2.5, 430.0, 99.0, 0.5]
+            [1.0, -2.5, 430.0, 0.75, 0.5]
         );
         assert_eq!(i32::from_le_bytes(second[24..28].try_into().unwrap()), 1);
     }
