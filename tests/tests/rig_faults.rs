@@ -54,6 +54,44 @@ fn all_well_in_every_mode() {
     }
 }
 
+/// What comes of a scan does not wait for the slide's ramp down, and is asked for once, also where
+/// frames are missing.
+#[test]
+fn the_last_frame_is_told_while_the_slide_slows_down() {
+    for lost in [false, true] {
+        let rig = rig(Mode::Constant);
+        let (mut opened, stage) = opened(&rig);
+        if lost {
+            stage.inject(Box::new(|n| if n == 9 { Fate::Lost } else { Fate::Fine }));
+        }
+        let pipe = opened.virtual_board.clone().unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let mut recording =
+            Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+        let cancel = AtomicBool::new(false);
+        let mut acquisition =
+            Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+        let (mut shots, mut swept) = (0, Vec::new());
+        let scanned = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
+            match step {
+                Step::Shot(_) => shots += 1,
+                Step::Swept => swept.push((shots, pipe.board().rig().slide)),
+                Step::Ambient(_) => {}
+            }
+            Ok(())
+        })
+        .unwrap();
+        let stands = pipe.board().rig().slide;
+        let [(all, slide)] = swept[..] else {
+            panic!("{swept:?}");
+        };
+        assert_eq!((all, scanned.sweep.shots), (12 - u32::from(lost), all));
+        // 20 mm/s on 200 mm/s²: a millimetre to go.
+        let to_go = rig.mm(stands - slide);
+        assert!(if lost { to_go == 0.0 } else { to_go > 0.5 }, "{to_go} mm");
+    }
+}
+
 #[test]
 fn the_first_frame_lost_after_idle_costs_nothing() {
     let rig = rig(Mode::Constant);
@@ -522,6 +560,7 @@ fn a_recording_is_replayed_frame_by_frame() {
             cancel: &cancel,
             timeout: Duration::from_millis(40),
             laser: true,
+            planned: frames.len(),
         };
         let mut shots = 0;
         let (sweep, unpaired) = follow

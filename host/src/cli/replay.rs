@@ -80,6 +80,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         cancel: interrupted()?,
         timeout: Duration::from_millis(100),
         laser: true,
+        planned: scan.frames.len(),
     };
     let played = follow.run(
         &mut ledger,

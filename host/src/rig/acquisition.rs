@@ -378,6 +378,7 @@ impl<'a> Acquisition<'a> {
             cancel: self.cancel,
             timeout: Duration::from_secs_f64(rig.camera.timeout_ms / 1000.0),
             laser: request.laser != ScanLaser::Off,
+            planned: request.count as usize,
         };
         // On the fly the sheet sweeps on while the shutter is open; its middle is where the stripe's is.
         let moved_mm = 0.5e-3 * self.armed.map_or(0.0, |e| e.ms) * rig.travel_mm_s(request);
@@ -407,6 +408,9 @@ pub struct Follow<'a> {
     pub timeout: Duration,
     /// Whether the laser is to be on at every trigger.
     pub laser: bool,
+    /// Triggers that there will be, if the ledger is not broken off: after the last one its frame need
+    /// not wait for the ledger's end, which comes when the slide stands.
+    pub planned: usize,
 }
 
 impl Follow<'_> {
@@ -440,6 +444,9 @@ impl Follow<'_> {
                         self.camera.ledger(&trigger);
                         matcher.trigger(stamp_of(&trigger));
                         triggers.push(trigger);
+                        if triggers.len() >= self.planned {
+                            matcher.complete();
+                        }
                     }
                     Some(LedgerEvent::End) => {
                         ended = true;

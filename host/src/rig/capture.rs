@@ -194,7 +194,7 @@ pub enum Step<'a> {
     Ambient(&'a Picture),
     /// A shot, as soon as it is matched; positions that were visited again come last.
     Shot(&'a Shot),
-    /// There is no further one. (The disk may still be writing.)
+    /// There is no further one. (The slide may still be on its ramp down, the disk still writing.)
     Swept,
 }
 
@@ -241,6 +241,7 @@ pub fn scan(
         .filter(|i| progress.frames().iter().all(|(index, _)| index != i))
         .collect();
     let mut writer = Recording::writer()?;
+    let mut swept = false;
     let mut sink = |shot: Shot| {
         let image = format!("{folder}/{:03}.png", shot.index);
         let path = recording.path(&image);
@@ -249,6 +250,11 @@ pub fn scan(
         frames.push(frame);
         live(Step::Shot(&shot))?;
         writer.push(path, shot.picture)?;
+        // The slide still has its ramp to go: what comes of the frames need not wait for that.
+        if frames.len() == request.count as usize {
+            swept = true;
+            live(Step::Swept)?;
+        }
         Ok(())
     };
     let mut sweep = if stood > 0 {
@@ -261,7 +267,9 @@ pub fn scan(
     if sweep.shots == 0 {
         return Err(too_few(&sweep));
     }
-    live(Step::Swept)?;
+    if !swept {
+        live(Step::Swept)?;
+    }
     let written = writer.finish()?;
     recording.set_scan(Some(ambient), frames)?;
     progress.finish()?;
