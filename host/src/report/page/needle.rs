@@ -17,8 +17,8 @@ pub fn top(report: &Report) -> Markup {
                 @if let Some(v) = &report.verdict { (verdict(v)) }
             }
             @if let Some(p) = &report.picture { (picture(p)) }
+            @if let Some(n) = &report.needle { div.details { (details(n)) } }
         }
-        @if let Some(n) = &report.needle { (details(n)) }
     }
 }
 
