@@ -263,6 +263,8 @@ fn broken_off(disk: bool) {
     }
     // Laser off at once, slide at rest after its ramp, and the board still answers.
     assert!(!pipe.board().level(Pin::Laser));
+    // Ctrl-C says that the slide stands, so it does.
+    let said = pipe.board().rig().slide;
     for _ in 0..500 {
         opened.board.keep_alive().unwrap();
     }
@@ -271,6 +273,7 @@ fn broken_off(disk: bool) {
         !status.moving && !status.laser && status.position_known,
         "{status:?}"
     );
+    assert!(disk || pipe.board().rig().slide == said);
     // What was written is whole, and no session.json names a part of a scan.
     let folder = dir.path().join(if disk { "moved" } else { "scan" });
     let mut files = 0;

@@ -11,6 +11,7 @@ use super::camera::{Camera, CameraError, Exposure, Frame, Picture};
 use super::config::{Rig, TriggerSource};
 use super::link::{self, LinkError, ScanEvent};
 use super::matching::{Anchor, Decision, Fault, FrameStamp, Matcher, TriggerStamp};
+use super::open;
 use super::request::Requests;
 use super::writer::WriteError;
 use cannula_shared::message::{ScanLaser, ScanMode, ScanRequest, Trigger};
@@ -230,11 +231,16 @@ impl<'a> Acquisition<'a> {
 
     fn go_on(&self) -> Result<(), AcquireError> {
         if self.cancel.load(Ordering::Relaxed) {
-            // Stop ends motion and laser alike. If it does not arrive, the lease does the same.
-            let _ = self.board.stop();
+            self.stand();
             return Err(AcquireError::Interrupted);
         }
         Ok(())
+    }
+
+    /// Ends motion and laser, and waits until the slide stands. If that does not arrive, the lease does the same.
+    fn stand(&self) {
+        let _ = self.board.stop();
+        let _ = open::at_rest(self.board);
     }
 
     fn timeout(&self) -> Duration {
@@ -385,8 +391,12 @@ impl<'a> Acquisition<'a> {
         let mut make = |trigger: &Trigger, taken: Taken| {
             sink(Shot::new(rig, trigger.index, trigger, moved_mm, taken))
         };
-        let (mut sweep, unpaired) = follow.run(&mut scan, anchor, &mut make)?;
+        let followed = follow.run(&mut scan, anchor, &mut make);
         drop(scan);
+        if matches!(followed, Err(AcquireError::Interrupted)) {
+            self.stand();
+        }
+        let (mut sweep, unpaired) = followed?;
         sweep.planned = request.count;
         let lost: Vec<u32> = unpaired.iter().map(|t| t.index).collect();
         if request.mode == ScanMode::StopAndShoot {

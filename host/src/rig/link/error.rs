@@ -8,7 +8,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum LinkError {
     /// The port cannot be opened.
-    #[error("{path}: cannot open the port: {source}")]
+    #[error(
+        "{path}: cannot open the port: {source}; `cannula ports` lists the ports, and no other program may have it open"
+    )]
     Open {
         /// The port.
         path: String,
