@@ -495,6 +495,8 @@ fn provenance_tells_recording_calibration_commit_and_what_decided_the_angle() {
     row("puncture: model", "fast model");
     row("puncture: advance / mm", "5.0");
     row("puncture: clinical / °", "15.0, 30.0");
+    // Rendered recordings say so in their title; this one has its truth beside it.
+    assert!(page.contains("<h1>Simulated, no real hand. Needle insertion"));
     let stages = cannula::stripe::limits().into_iter();
     for (name, value) in stages.chain(cannula::stripe::hand::limits()) {
         row(name, &value);

@@ -375,7 +375,8 @@ impl Job<'_> {
         let page = report::assemble(report::Sources {
             session: self.session,
             calibration: self.calibration,
-            simulated: self.simulated(),
+            // A recording that has its truth beside it was rendered.
+            simulated: self.simulated() || self.session.path("truth.json").exists(),
             outcome,
             angle_source: source.words(),
             settings: rows,

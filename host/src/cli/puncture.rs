@@ -5,6 +5,7 @@ use super::output::BadArgument;
 use crate::output::write_whole;
 use crate::progress::Progress;
 use crate::puncture::Calibration;
+use crate::puncture::basis::{Basis, Provenance};
 use crate::puncture::decision::{self, Criterion, Reference};
 use crate::puncture::fit;
 use crate::puncture::output::{
@@ -118,10 +119,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         .paper_layers
         .then(|| paper_preset::compare(&report.runs));
     write(&report, &args.out)?;
-    let page = crate::report::of_puncture(
-        crate::report::punctured(&report, &setup),
-        settings(&setup, &numerics),
-    );
+    let page =
+        crate::report::of_puncture(crate::report::punctured(&report, &setup), settings(&report));
     crate::report::write(&page, &args.out.join("report.html"))?;
     out.result(&report, || {
         let mut text = String::new();
@@ -207,15 +206,16 @@ pub fn simulate(
         runs,
         stopped,
         decision,
+        provenance: Provenance::now(Basis::new(setup, &done, criterion, true), *numerics),
         curves,
         energies,
     })
 }
 
 /// What the runs assumed, for the report.
-fn settings(setup: &Setup, numerics: &Numerics) -> Vec<(String, String)> {
-    let mut rows = crate::report::leaves(setup);
-    rows.extend(crate::report::leaves(numerics));
+fn settings(report: &PunctureReport) -> Vec<(String, String)> {
+    let mut rows = crate::report::leaves(&report.provenance);
+    rows.retain(|(name, _)| !["program", "time"].contains(&name.as_str()));
     rows
 }
 

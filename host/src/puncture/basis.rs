@@ -3,6 +3,7 @@
 
 use super::decision::{ADVANCE_MM, CLINICAL_DEG, Criterion, FITTED_DEG};
 use super::fast::Calibration;
+use super::run::Numerics;
 use super::tissue::Setup;
 use serde::Serialize;
 
@@ -46,6 +47,31 @@ impl Basis {
             fast_peak_error: fast.peak_error,
             mesh_error: fast.mesh_error,
             setup: *setup,
+        }
+    }
+}
+
+/// How a puncture.json came about ("provenance" there).
+#[derive(Clone, Debug, Serialize)]
+pub struct Provenance {
+    /// Program, version and commit.
+    pub program: &'static str,
+    /// When, ISO 8601 in UTC.
+    pub time: String,
+    /// What the decision rests on.
+    pub puncture: Basis,
+    /// How it was computed.
+    pub numerics: Numerics,
+}
+
+impl Provenance {
+    /// Of runs that stand now.
+    pub fn now(puncture: Basis, numerics: Numerics) -> Self {
+        Self {
+            program: crate::PROGRAM,
+            time: crate::output::seconds(jiff::Timestamp::now()),
+            puncture,
+            numerics,
         }
     }
 }

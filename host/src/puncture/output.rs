@@ -1,5 +1,6 @@
 //! puncture.json and the curves beside it (contract.md).
 
+use super::basis::Provenance;
 use super::decision::Decision;
 use super::events::{Event, events, smooth};
 use super::paper_preset::Comparison;
@@ -89,6 +90,8 @@ pub struct PunctureReport {
     /// The paper's figures beside ours, if its layers were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paper: Option<Comparison>,
+    /// How it came about.
+    pub provenance: Provenance,
     /// Curves of the runs, in their order (in files of their own, not in the JSON).
     #[serde(skip)]
     pub curves: Vec<Vec<CurvePoint>>,

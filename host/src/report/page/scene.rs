@@ -61,8 +61,8 @@ pub fn section(s: &Scene) -> Markup {
         p.soft.screen { "Drag to turn, wheel or pinch to zoom, right drag, shift and drag, or two fingers to pan; the measured point under the pointer is given in the camera’s frame (X right, Y down, Z away)." }
         p.soft {
             (s.points.len()) " points. "
-            @if refused { "The region of " (super::number(2.0 * s.radius_mm, 0)) " mm across stands where the entry pixel looks, at the depth of the measured points around it." }
-            @else { "The region and the plane’s square are " (super::number(2.0 * s.radius_mm, 0)) " mm wide." }
+            @if refused { "The region of " (super::number(2.0 * s.radius_mm, 1)) " mm across stands where the entry pixel looks, at the depth of the measured points around it." }
+            @else { "The region and the plane’s square are " (super::number(2.0 * s.radius_mm, 1)) " mm wide." }
         }
         script type="application/json" id="scene-data" { (PreEscaped(data(s))) }
     }
