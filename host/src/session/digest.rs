@@ -16,7 +16,9 @@ use std::sync::{Arc, Mutex};
 /// What a recording is told by.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordingDigest {
-    /// See [`digest`](self), in hexadecimal.
+    /// SHA-256, in hexadecimal, over the bytes of session.json and then, for each image in the
+    /// manifest's order, a line "name, length in bytes, CRC-32 of the file in hexadecimal", parted by
+    /// tabs and ended by a newline.
     pub sha256: String,
     /// Images in it.
     pub images: usize,

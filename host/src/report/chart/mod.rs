@@ -75,7 +75,7 @@ pub enum Kind {
 pub struct Series {
     /// In the legend; empty for none.
     pub name: String,
-    /// Index in [`PALETTE`], and then in [`ORDERED`].
+    /// Index in [`PALETTE`], and after its end in five colours that have an order, far to near.
     pub colour: usize,
     /// How it is drawn.
     pub kind: Kind,
