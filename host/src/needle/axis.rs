@@ -61,6 +61,21 @@ pub fn line(points: &[Point3]) -> Option<Vector3> {
     Some(axis.normalize() * sign.signum())
 }
 
+/// How long the points' course is along their line, mm.
+pub fn length(points: &[Point3], line: &Vector3) -> f64 {
+    let along = points.iter().map(|p| p.coords.dot(line));
+    let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| {
+        (a.min(x), b.max(x))
+    });
+    (high - low).max(0.0)
+}
+
+/// Distance of a point from the line through the points' middle, mm.
+pub fn beside(points: &[Point3], line: &Vector3, point: &Point3) -> f64 {
+    let centre = points.iter().map(|p| p.coords).sum::<Vector3>() / points.len().max(1) as f64;
+    (point.coords - centre).cross(line).norm()
+}
+
 /// A direction laid into the plane along its normal, unit; `None` if it is the normal.
 pub fn into_plane(direction: &Vector3, normal: &Vector3) -> Option<Vector3> {
     let laid = direction - normal * normal.dot(direction);

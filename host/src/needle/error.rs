@@ -78,6 +78,30 @@ pub enum NeedleError {
         /// Largest allowed, mm.
         limit_mm: f64,
     },
+    /// Two frames between which the stripe did not follow the slide.
+    #[error(
+        "from frame {} to frame {} the stripe moves {ratio:.1} times as far in the image as the slide's travel asks for ({least} to {most} is a surface's): a frame was lost or doubled, a position is wrong, or the hand moved; scan again", frames[0], frames[1]
+    )]
+    OutOfStep {
+        /// The frames, from 0.
+        frames: [usize; 2],
+        /// Travel in the image against that of the neighbours.
+        ratio: f64,
+        /// Least allowed.
+        least: f64,
+        /// Most allowed.
+        most: f64,
+    },
+    /// The vein is too short to have a direction.
+    #[error(
+        "the vein's pixels span {length_mm:.1} mm on the surface (at least {least_mm:.1} mm are needed): give pixels farther apart along the vein"
+    )]
+    ShortVein {
+        /// Length, mm.
+        length_mm: f64,
+        /// Least length, mm.
+        least_mm: f64,
+    },
     /// The camera looks along the surface.
     #[error(
         "the camera sees the entry region at {angle_deg:.0}° from its normal (at most {limit_deg:.0}°): turn the hand towards the camera"

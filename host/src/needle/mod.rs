@@ -58,6 +58,8 @@ pub struct Limits {
     pub gap_mm: f64,
     /// Least part of the region's disc that is covered by measured surface.
     pub coverage: f64,
+    /// The part below which the region is called cut off.
+    pub whole: f64,
     /// Largest root mean square distance of the surface from the plane, as a part of the radius.
     pub roughness: f64,
     /// The same from which the region is called curved: as a cylinder whose slope turns by 1.1° a
@@ -66,6 +68,10 @@ pub struct Limits {
     /// Difference of the needle's angles to the region's plane and to that of half the radius from
     /// which the angle is said to hang on the radius, rad.
     pub turn: f64,
+    /// Least length of the vein as given, mm.
+    pub vein_mm: f64,
+    /// How far its line may pass beside the entry, and its points beside the line, mm.
+    pub beside_mm: f64,
     /// Largest standard deviation of the needle's angle to the plane, rad.
     pub angle_sigma: f64,
     /// Largest standard deviation of the entry point, mm.
@@ -83,10 +89,13 @@ impl Default for Limits {
             points: 60,
             stripes: 4,
             gap_mm: 3.0,
-            coverage: 0.8,
+            coverage: 0.9,
+            whole: 0.98,
             roughness: 0.09,
             curved: 0.03,
             turn: 1f64.to_radians(),
+            vein_mm: 2.0,
+            beside_mm: 2.0,
             angle_sigma: 1f64.to_radians(),
             entry_sigma_mm: 1.0,
             obliquity: 75f64.to_radians(),
@@ -214,7 +223,43 @@ impl Decision {
                 )
             }),
         };
-        self.checks.extend([curved, turned]);
+        let whole = Check::held(
+            "region: part covered by measured surface, called cut off",
+            100.0 * self.coverage,
+            Limit::AtLeast(100.0 * limits.whole),
+            "%",
+        )
+        .or(|| {
+            (
+                format!(
+                    "{:.0} % of the region was not measured: how the surface goes on there is guessed from its bend",
+                    100.0 * (1.0 - self.coverage)
+                ),
+                "choose an entry farther from the hand’s edge or a smaller radius_mm, or scan farther".to_owned(),
+            )
+        });
+        self.checks.extend([curved, turned, whole]);
+        if let Some(line) = axis::line(&self.vein) {
+            let most = Limit::AtMost(limits.beside_mm);
+            let beside = axis::beside(&self.vein, &line, &self.entry);
+            let what = "vein: distance of its line from the entry";
+            let through = Check::held(what, beside, most, "mm").or(|| {
+                (
+                    format!("the vein’s line passes {beside:.1} mm beside the entry"),
+                    "check entry.pixel and entry.vein".to_owned(),
+                )
+            });
+            let off = self.vein.iter().map(|p| axis::beside(&self.vein, &line, p));
+            let off = off.fold(0.0, f64::max);
+            let what = "vein: largest distance of its points from their line";
+            let straight = Check::held(what, off, most, "mm").or(|| {
+                (
+                    format!("the vein bends: its points lie up to {off:.1} mm off their line"),
+                    "give its course near the entry only".to_owned(),
+                )
+            });
+            self.checks.extend([through, straight]);
+        }
     }
 }
 
@@ -354,6 +399,19 @@ pub fn decide(
         met: course.len(),
         given: request.vein.len(),
     })?;
+    let length = axis::length(&course, &line);
+    let long = holds(
+        "vein: length given",
+        length,
+        Limit::AtLeast(limits.vein_mm),
+        "mm",
+    );
+    if !long {
+        return Err(NeedleError::ShortVein {
+            length_mm: length,
+            least_mm: limits.vein_mm,
+        });
+    }
     let direction = axis::into_plane(&line, &plane.normal).ok_or(NeedleError::NoVein {
         met: course.len(),
         given: request.vein.len(),
@@ -381,6 +439,9 @@ pub fn decide(
         angle: settings.angle,
         rig,
         coarse,
+        filled: surface
+            .filled(&patch)
+            .and_then(|cells| Some(PlaneFit::new(&cells)?.plane.normal)),
         stripe_bias_px: settings.stripe_bias_px,
     });
     let angle = holds(

@@ -12,6 +12,7 @@ use super::NeedleError;
 use super::plane::Cell;
 use crate::cloud::CloudPoint;
 use crate::geometry::{Point3, Vector2, Vector3};
+use nalgebra::{SMatrix, SVector};
 
 /// A right-handed frame on the region: `along` the stripes, `across` them, `normal` away from the
 /// camera.
@@ -111,6 +112,8 @@ pub struct Patch {
     pub links: Vec<[(u32, f64); 2]>,
     /// Part of the region's disc that they cover.
     pub coverage: f64,
+    /// (s, t) of the disc's pieces that were not measured, mm, and their area, mm².
+    pub missing: Vec<([f64; 2], f64)>,
 }
 
 /// A first guess of where the ray of `pixel` meets the surface: the median depth of the nearest
@@ -396,6 +399,7 @@ impl Surface {
             cells: Vec::new(),
             links: Vec::new(),
             coverage: 0.0,
+            missing: Vec::new(),
         };
         let (mut covered, mut missing) = (0.0, 0.0);
         let edge = |distance: f64| ((radius - distance) / dt + 0.5).clamp(0.0, 1.0);
@@ -410,6 +414,10 @@ impl Surface {
                 let (h, slope_t, node) = heights[i * height + r];
                 if h.is_nan() {
                     missing += edge(flat);
+                    if edge(flat) > 0.0 {
+                        let area = edge(flat) * self.step * dt;
+                        patch.missing.push(([s, t], area));
+                    }
                     continue;
                 }
                 let weight = edge(flat.hypot(h - ch));
@@ -447,6 +455,32 @@ impl Surface {
         let whole = covered + missing;
         patch.coverage = if whole > 0.0 { covered / whole } else { 0.0 };
         patch
+    }
+}
+
+impl Surface {
+    /// The patch with its holes filled by the parabola (in s and t) through all that was measured:
+    /// what the region would be if the surface bent on as it does. `None` where nothing is missing,
+    /// or no parabola is determined.
+    pub fn filled(&self, patch: &Patch) -> Option<Vec<Cell>> {
+        if patch.missing.is_empty() {
+            return None;
+        }
+        let row = |s: f64, t: f64| SVector::<f64, 6>::from([1.0, s, t, s * s, s * t, t * t]);
+        let mut normal = SMatrix::<f64, 6, 6>::zeros();
+        let mut right = SVector::<f64, 6>::zeros();
+        for cell in &patch.cells {
+            let [s, t, h] = self.frame.local(&cell.position);
+            let row = row(s, t);
+            normal += row * row.transpose() * cell.area;
+            right += row * (h * cell.area);
+        }
+        let parabola = normal.cholesky()?.solve(&right);
+        let filled = patch.missing.iter().map(|&([s, t], area)| Cell {
+            position: self.frame.point(s, t, parabola.dot(&row(s, t))),
+            area,
+        });
+        Some(patch.cells.iter().copied().chain(filled).collect())
     }
 }
 

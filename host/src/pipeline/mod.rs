@@ -8,6 +8,7 @@
 mod calibration;
 mod error;
 mod reconstruction;
+pub mod sequence;
 mod times;
 mod views;
 

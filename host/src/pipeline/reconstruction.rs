@@ -3,6 +3,7 @@
 
 use super::Method;
 use super::error::PipelineError;
+use super::sequence;
 use super::times::{Stage, Times};
 use crate::calibration::{RigModel, loss};
 use crate::checks::{Check, Limit, sentences};
@@ -13,13 +14,18 @@ use crate::needle::{self, Decision, EntryRequest, NeedleError, PlaneMethod};
 use crate::progress::Progress;
 use crate::session::{Depth, Entry, Session};
 use crate::stripe::hand::{self, HandSettings, Surface};
-use crate::stripe::{StripeError, StripePoint, paper};
+use crate::stripe::{StripeError, StripePoint, pair, paper};
 use rayon::prelude::*;
 use std::path::Path;
+
+/// The ambient image is compared with every so many frames.
+const PAIRS: u32 = 8;
 
 /// What one frame gave.
 #[derive(Clone, Debug, Default)]
 pub struct FrameResult {
+    /// Where the slide stood, mm.
+    pub slide_mm: f64,
     /// Points on the hand.
     pub hand: Vec<CloudPoint>,
     /// The same as they were measured, without smoothing along the stripe.
@@ -39,6 +45,7 @@ pub struct Reconstruction<P: Pixel> {
     region: Option<paper::hand::Region>,
     settings: HandSettings,
     frames: u32,
+    positions: Vec<f64>,
     /// Points on the hand, frame by frame.
     pub cloud: Vec<CloudPoint>,
     /// The same as they were measured, without smoothing along the stripe: the region's surface
@@ -66,6 +73,7 @@ impl<P: Pixel> Reconstruction<P> {
             region,
             settings: HandSettings::default(),
             frames: 0,
+            positions: Vec::new(),
             cloud: Vec::new(),
             measured: Vec::new(),
             background: Vec::new(),
@@ -85,10 +93,15 @@ impl<P: Pixel> Reconstruction<P> {
         image: &Image<P>,
         times: &Times,
     ) -> Result<FrameResult, StripeError> {
-        match self.method {
-            Method::Ml => self.ml(index, slide_mm, image, times),
-            Method::Paper => Ok(self.paper(index, slide_mm, image, times)),
+        let mut result = match self.method {
+            Method::Ml => self.ml(index, slide_mm, image, times)?,
+            Method::Paper => self.paper(index, slide_mm, image, times),
+        };
+        if let (0, Some(ambient)) = (index % PAIRS, &self.ambient) {
+            times.time(Stage::HandStripe, || pair::check(image, ambient))?;
         }
+        result.slide_mm = slide_mm;
+        Ok(result)
     }
 
     fn ml(
@@ -168,6 +181,7 @@ impl<P: Pixel> Reconstruction<P> {
 
     /// Keeps a frame's result; frames come in the order of travel.
     pub fn add(&mut self, mut result: FrameResult) {
+        self.positions.push(result.slide_mm);
         self.counts.push(result.hand.len());
         self.cloud.append(&mut result.hand);
         self.measured.append(&mut result.measured);
@@ -215,16 +229,30 @@ impl<P: Pixel> Reconstruction<P> {
     /// far.
     ///
     /// # Errors
-    /// [`PipelineError::Needle`]: why no angle is given, with what was scanned.
+    /// [`PipelineError::Needle`]: why no angle is given, with what was scanned;
+    /// [`PipelineError::Mismatch`]: frames that do not follow the slide.
     pub fn finish(
         self,
         file: &Path,
         request: EntryRequest,
         settings: &needle::Settings,
-        checks: Vec<Check>,
+        mut checks: Vec<Check>,
         times: &Times,
     ) -> Result<Measurement, PipelineError> {
-        match times.time(Stage::Needle, || self.decide(&request, settings)) {
+        let decided = times.time(Stage::Needle, || {
+            let breaks = sequence::breaks(&self.cloud, &self.positions, self.settings.axis);
+            checks.push(Check::held(
+                "scan: frames whose stripe does not follow the slide",
+                breaks.len() as f64,
+                Limit::AtMost(0.0),
+                "",
+            ));
+            if let Some(first) = breaks.first() {
+                return Err(first.error());
+            }
+            self.decide(&request, settings)
+        });
+        match decided {
             Ok(decision) => Ok(Measurement {
                 cloud: self.cloud,
                 background: self.background,
@@ -337,7 +365,12 @@ fn run<P: Pixel>(
             .time(Stage::Read, || session.laser::<P>(name))
             .map_err(PipelineError::from)
     };
-    let ambient = scan.ambient.as_ref().map(read).transpose()?;
+    let ambient = match (&scan.ambient, method) {
+        (Some(name), _) => Some(read(name)?),
+        // The paper's way seeks the hand in it.
+        (None, Method::Paper) => darkest(scan.frames.iter().map(|f| &f.image), read)?,
+        (None, Method::Ml) => None,
+    };
     let mut whole = Reconstruction::new(rig.clone(), method, ambient);
     progress.start("scan frames", scan.frames.len());
     let results: Result<Vec<FrameResult>, PipelineError> = scan
@@ -349,9 +382,13 @@ fn run<P: Pixel>(
             exposed(&image, || session.path(&frame.image))?;
             let result = whole
                 .frame(i as u32, frame.slide_mm, &image, times)
-                .map_err(|source| PipelineError::Stripe {
-                    path: session.path(&frame.image),
-                    source,
+                .map_err(|source| {
+                    let name = match (&source, &scan.ambient) {
+                        (StripeError::Lit { .. }, Some(ambient)) => ambient,
+                        _ => &frame.image,
+                    };
+                    let path = session.path(name);
+                    PipelineError::Stripe { path, source }
                 });
             progress.step();
             result
@@ -361,6 +398,28 @@ fn run<P: Pixel>(
     results?.into_iter().for_each(|result| whole.add(result));
     let request = EntryRequest::from(entry);
     whole.finish(session.file(), request, settings, checks, times)
+}
+
+/// The pixelwise minimum of a few frames from end to end: the scene without the stripe, where nobody
+/// took it without the laser.
+fn darkest<'a, P: Pixel>(
+    names: impl ExactSizeIterator<Item = &'a String>,
+    read: impl Fn(&String) -> Result<Image<P>, PipelineError>,
+) -> Result<Option<Image<P>>, PipelineError> {
+    const FRAMES: usize = 5;
+    let every = names.len().div_ceil(FRAMES).max(1);
+    let mut darkest: Option<Image<P>> = None;
+    for name in names.step_by(every) {
+        let image = read(name)?;
+        match &mut darkest {
+            Some(dark) => {
+                let pixels = dark.pixels_mut().iter_mut().zip(image.pixels());
+                pixels.for_each(|(dark, p)| *dark = (*dark).min(*p));
+            }
+            None => darkest = Some(image),
+        }
+    }
+    Ok(darkest)
 }
 
 /// Refuses an image of one grey throughout, and one of which more than a third is saturated: no

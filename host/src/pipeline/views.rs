@@ -97,14 +97,23 @@ impl Looker<'_> {
                 let stack = (laser.is_none() && self.method == Method::Ml)
                     .then(|| Mutex::new(Stack::new(background, found)));
                 let behind = self.behind(Some(background), corners);
+                let last = pose.on.len().saturating_sub(1);
                 let stripes = pose
                     .on
                     .par_iter()
-                    .map(|frame| {
+                    .enumerate()
+                    .map(|(i, frame)| {
                         let on = self
                             .times
                             .time(Stage::Read, || self.session.laser::<P>(&frame.image))?;
                         let points = self.stripe(&on, &behind, &frame.image)?;
+                        // A stripe in the image without the laser is beside one of these two.
+                        if i == 0 || i == last {
+                            let pair = || stripe::pair::check(&on, background);
+                            self.times
+                                .time(Stage::BoardStripe, pair)
+                                .map_err(|source| self.wrong(off, source))?;
+                        }
                         if let (Some(stack), Ok(points)) = (&stack, &points) {
                             self.times.time(Stage::Corners, || pile(stack, &on, points));
                         }
@@ -192,6 +201,13 @@ impl Looker<'_> {
         }
     }
 
+    fn wrong(&self, image: &str, source: StripeError) -> PipelineError {
+        PipelineError::Stripe {
+            path: self.session.path(image),
+            source,
+        }
+    }
+
     /// The stripe in one image. Outer error: the recording is wrong. Inner: this image is no use.
     fn stripe<P: Pixel>(
         &self,
@@ -204,10 +220,7 @@ impl Looker<'_> {
             Behind::Ml(off, corners) => {
                 match stripe::board::extract(on, *off, corners, columns, rows) {
                     Err(source @ (StripeError::Swapped | StripeError::Size { .. })) => {
-                        Err(PipelineError::Stripe {
-                            path: self.session.path(name),
-                            source,
-                        })
+                        Err(self.wrong(name, source))
                     }
                     found => Ok(found.map_err(|e| e.to_string())),
                 }

@@ -7,6 +7,7 @@ mod chain;
 pub mod hand;
 mod link;
 mod outline;
+pub mod pair;
 mod profile;
 mod search;
 mod smooth;
@@ -25,6 +26,7 @@ pub fn limits() -> Vec<(&'static str, String)> {
         profile::limits(),
         smooth::limits(),
         outline::limits(),
+        pair::limits(),
     ]
     .concat()
 }
@@ -76,6 +78,14 @@ pub enum StripeError {
     /// The image without the laser shows the stripe.
     #[error("the stripe is in the image without the laser: on and off are swapped")]
     Swapped,
+    /// The image without the laser is brighter than the one with it.
+    #[error(
+        "the image without the laser is brighter than one with it at {pixels} pixels: the laser was on in it, or it shows another scene"
+    )]
+    Lit {
+        /// About so many pixels.
+        pixels: usize,
+    },
     /// No stripe was found.
     #[error(
         "no stripe: {found} columns show one where at least {needed} should (laser off, too dim, or not on the target)"
