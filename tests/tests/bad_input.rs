@@ -243,6 +243,70 @@ fn swapped_images_are_named() {
 }
 
 #[test]
+fn an_image_without_the_laser_that_is_none_is_named() {
+    // The laser was on in the ambient image; it shows another scene; so does a pose's dark image.
+    let folder = tempfile::tempdir().unwrap();
+    let good = recording();
+    let copy = folder.path().join("lit.png");
+    std::fs::copy(&good.scan.as_ref().unwrap().frames[9].image, &copy).unwrap();
+    let lit = copy.display().to_string();
+    for ambient in [lit.clone(), good.light[0].off.clone().unwrap()] {
+        let mut bad = recording();
+        bad.scan.as_mut().unwrap().ambient = Some(ambient);
+        refused(&bad, &["the laser was on in it, or it shows another scene"]);
+    }
+    let mut bad = recording();
+    let on = &bad.light[1].on;
+    std::fs::copy(&on[on.len() / 2].image, &copy).unwrap();
+    bad.light[1].off = Some(lit);
+    refused(&bad, &["the laser was on in it, or it shows another scene"]);
+}
+
+/// All that follows a lost or doubled frame would be laid a step beside where it is.
+#[test]
+fn lost_and_doubled_frames_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let images = |m: &Manifest| -> Vec<String> {
+        let frames = &m.scan.as_ref().unwrap().frames;
+        frames.iter().map(|f| f.image.clone()).collect()
+    };
+    let good = images(&recording());
+    let with = |images: &[String]| {
+        let mut bad = recording();
+        let frames = &mut bad.scan.as_mut().unwrap().frames;
+        frames.truncate(images.len());
+        for (frame, image) in frames.iter_mut().zip(images) {
+            frame.image = image.clone();
+        }
+        bad
+    };
+    for at in [7, good.len() / 2] {
+        let mut lost = good.clone();
+        lost.remove(at);
+        let said = refused(&with(&lost), &["a frame was lost or doubled"]);
+        let names = format!("from frame {} to frame {at}", at - 1);
+        assert!(said.contains(&names), "{names}: {said}");
+        let mut doubled = good.clone();
+        doubled.pop();
+        let copy = folder.path().join(format!("again_{at}.png"));
+        std::fs::copy(&good[at], &copy).unwrap();
+        doubled.insert(at + 1, copy.display().to_string());
+        let said = refused(&with(&doubled), &["a frame was lost or doubled"]);
+        let names = format!("from frame {at} to frame {}", at + 1);
+        assert!(said.contains(&names), "{names}: {said}");
+    }
+}
+
+#[test]
+fn a_board_that_moved_is_named() {
+    // One pose's image without the laser is of the next pose.
+    let mut bad = recording();
+    let next = bad.light[1].off.clone();
+    bad.light[0].off = next;
+    refused(&bad, &["moved", "another scene"]);
+}
+
+#[test]
 fn positions_in_another_unit_are_named() {
     // Centimetres, metres, micrometres, inches, steps of the motor.
     for factor in [0.1, 0.001, 1000.0, 1.0 / 25.4, 320.0] {

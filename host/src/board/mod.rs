@@ -187,6 +187,14 @@ pub enum NotFound {
         /// Where one of them should be.
         near: Vector2,
     },
+    /// The board did not stand still between the images of one pose.
+    #[error(
+        "the board moved by {moved_px:.1} px between the image without the laser and those with it: fix it while the slide runs"
+    )]
+    Moved {
+        /// Largest distance between a corner's places, px.
+        moved_px: f64,
+    },
     /// A grid was found, but not of the size asked for.
     #[error(
         "found a grid of {found_columns} × {found_rows} corners where {columns} × {rows} were asked for"

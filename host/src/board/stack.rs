@@ -2,7 +2,7 @@
 //! from the stripe. The board stands still between them, so that fourteen images have a quarter of
 //! the noise of one, and the corners with it.
 
-use super::{BoardGeometry, Detection, NotFound, refine};
+use super::{BoardGeometry, Detection, NotFound, refine, search};
 use crate::geometry::Vector2;
 use crate::image::{Image, Pixel};
 use crate::simd::widest;
@@ -211,7 +211,7 @@ impl<P: Summable> Stack<P> {
     /// The corners measured again in the mean. What the quality says stays that of the first image.
     ///
     /// # Errors
-    /// If the mean does not show the board where it was found: it moved between the images.
+    /// [`NotFound::Moved`] if the mean shows the board elsewhere; else why it does not show it.
     pub fn measure(
         &self,
         found: &Detection,
@@ -221,17 +221,32 @@ impl<P: Summable> Stack<P> {
         let places: Vec<Vector2> = found.corners.iter().map(|c| c.pixel - origin).collect();
         let [dark, bright] = found.quality.noise;
         let noise = f64::from(P::SCALE) * dark.max(bright) / f64::from(self.images).sqrt();
-        let again = refine::again(&self.mean(), &places, found.blur_px, noise, geometry)?;
+        let mean = self.mean();
+        let moved = |again: &Detection| {
+            let far = places.iter().zip(&again.corners);
+            far.map(|(p, c)| (c.pixel - p).norm()).fold(0.0, f64::max)
+        };
+        let again = refine::again(&mean, &places, found.blur_px, noise, geometry);
+        let again = match again {
+            Ok(again) if moved(&again) <= MOST_MOVED => again,
+            // Not where it was: somewhere else?
+            other => {
+                let mut elsewhere = search::detect(&mean, geometry)?;
+                let mut first = found.clone();
+                for (corner, place) in first.corners.iter_mut().zip(&places) {
+                    corner.pixel = *place;
+                }
+                super::align(&mut elsewhere, &first);
+                let moved_px = moved(&elsewhere);
+                if moved_px > MOST_MOVED {
+                    return Err(NotFound::Moved { moved_px });
+                }
+                other?
+            }
+        };
         let mut result = found.clone();
         for (corner, new) in result.corners.iter_mut().zip(&again.corners) {
-            let pixel = new.pixel + origin;
-            if (pixel - corner.pixel).norm() > MOST_MOVED {
-                return Err(NotFound::Hidden {
-                    hidden: 1,
-                    near: corner.pixel,
-                });
-            }
-            corner.pixel = pixel;
+            corner.pixel = new.pixel + origin;
             corner.covariance = new.covariance;
         }
         result.blur_px = again.blur_px;

@@ -331,9 +331,25 @@ fn light_planes(
             views.push(view);
         }
     }
+    // A pose without a board may be the reason for what is lacking.
+    let lost = |pose: &Swept| {
+        Some(format!(
+            "{}: {}",
+            pose.seen.name,
+            pose.seen.board.as_ref().err()?
+        ))
+    };
+    let lost: Vec<String> = swept.iter().filter_map(lost).collect();
+    let lost = lost.first().map_or(String::new(), |first| {
+        format!(
+            "; {} of {} poses are left out, {first}",
+            lost.len(),
+            swept.len()
+        )
+    });
     let fail = |reason: String| PipelineError::Light {
         path: session.file().to_owned(),
-        reason,
+        reason: reason + &lost,
         found: None,
     };
     let light = match calibrated.method {

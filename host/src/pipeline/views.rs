@@ -129,9 +129,17 @@ impl Looker<'_> {
             let again = self
                 .times
                 .time(Stage::Corners, || stack.measure(found, &self.board));
-            // The first measurement stands where the mean does not show the board.
-            if let Ok(again) = again {
-                *found = again;
+            match again {
+                Ok(again) => *found = again,
+                Err(moved @ board::NotFound::Moved { .. }) => {
+                    seen.board = Err(moved);
+                    return Ok(Swept {
+                        seen,
+                        stripes: Vec::new(),
+                    });
+                }
+                // The first measurement stands where the mean does not show the board.
+                Err(_) => {}
             }
         }
         Ok(Swept { seen, stripes })

@@ -80,7 +80,7 @@ pub enum StripeError {
     Swapped,
     /// The image without the laser is brighter than the one with it.
     #[error(
-        "the image without the laser is brighter than one with it at {pixels} pixels: the laser was on in it, or it shows another scene"
+        "the image without the laser is brighter than one with it at {pixels} pixels: they are swapped, the laser was on in it, or it shows another scene"
     )]
     Lit {
         /// About so many pixels.
