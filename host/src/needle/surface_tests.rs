@@ -222,3 +222,58 @@ fn stray_points_do_not_tilt_the_plane() {
         assert!(tilt < 0.01f64.to_radians(), "{seed}: {tilt} of {naive} rad");
     }
 }
+
+/// A region that the hand's edge cuts: said, and what is missing counts into the uncertainty.
+#[test]
+fn a_region_cut_off_is_said_and_counted() {
+    let (mut cut, mut beyond) = (0, 0);
+    for seed in 0..40 {
+        let (hand, rig, request) = scene(seed);
+        let whole = cloud(&hand.stripes(&rig), &rig, 0.02, 3, &mut Noise(seed));
+        let truth = PlaneFit::new(&hand.region()).unwrap().plane.normal;
+        let limits = Settings::default().limits;
+        let part = limits.whole.midpoint(limits.coverage);
+        // The chord that leaves about that part of the disc.
+        let edge = hand.entry().x + request.radius_mm * (1.0 - 1.6 * (1.0 - part).powf(0.66));
+        let points: Vec<_> = whole.into_iter().filter(|p| p.position.x < edge).collect();
+        let decided = decide(&points, &rig, &request, &Settings::default());
+        let Ok(decided) = decided else { continue };
+        assert!(decided.coverage < limits.whole, "{}", decided.coverage);
+        assert!(
+            decided
+                .checks
+                .iter()
+                .any(|c| c.words.contains("was not measured"))
+        );
+        let off = decided.plane.normal.cross(&truth).norm();
+        cut += 1;
+        beyond += usize::from(off > 3.0 * decided.uncertainty.normal_sigma());
+    }
+    assert!(cut > 30 && beyond <= 2, "{beyond} of {cut} beyond 3 σ");
+}
+
+#[test]
+fn a_vein_that_does_not_belong_to_the_entry_is_said() {
+    let (hand, rig, request) = scene(2);
+    let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    let with = |vein: Vec<Vector2>| {
+        let request = EntryRequest {
+            vein,
+            ..request.clone()
+        };
+        decide(&points, &rig, &request, &Settings::default())
+    };
+    let says = |vein: Vec<Vector2>, words: &str| {
+        let checks = with(vein).unwrap().checks;
+        checks.iter().any(|c| c.words.contains(words))
+    };
+    let good = &request.vein;
+    assert!(!says(good.clone(), "beside the entry") && !says(good.clone(), "the vein bends"));
+    let beside = good.iter().map(|p| p + Vector2::new(25.0, 0.0)).collect();
+    assert!(says(beside, "beside the entry"));
+    let zigzag = |k: usize| Vector2::new(if k % 2 == 0 { -25.0 } else { 25.0 }, 20.0 * k as f64);
+    let bent = (0..4).map(|k| request.pixel + zigzag(k) - Vector2::new(0.0, 30.0));
+    assert!(says(bent.collect(), "the vein bends"));
+    let short = vec![request.pixel, request.pixel + Vector2::new(1.0, 0.0)];
+    assert!(matches!(with(short), Err(NeedleError::ShortVein { .. })));
+}

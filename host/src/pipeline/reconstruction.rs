@@ -239,6 +239,12 @@ impl<P: Pixel> Reconstruction<P> {
         mut checks: Vec<Check>,
         times: &Times,
     ) -> Result<Measurement, PipelineError> {
+        if self.method == Method::Paper {
+            checks.push(Check::caution(
+                "method",
+                "the paper’s way, to compare with: the stated σ leave out what its thinning and its plane of z-distances add (ten times as much and more)",
+            ));
+        }
         let decided = times.time(Stage::Needle, || {
             let breaks = sequence::breaks(&self.cloud, &self.positions, self.settings.axis);
             checks.push(Check::held(

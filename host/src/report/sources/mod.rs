@@ -63,6 +63,15 @@ pub fn settings(method: Method, s: &crate::needle::Settings) -> Vec<(String, Str
             format!("{:.0} %", 100.0 * l.coverage),
         ),
         (
+            "region: called cut off below a coverage of",
+            format!("{:.0} %", 100.0 * l.whole),
+        ),
+        ("vein: least length", format!("{} mm", l.vein_mm)),
+        (
+            "vein: called beside the entry, or bent, from",
+            format!("{} mm", l.beside_mm),
+        ),
+        (
             "region: largest RMS distance over radius",
             l.roughness.to_string(),
         ),
@@ -132,6 +141,7 @@ pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
         .into_iter()
         .chain(crate::stripe::board::limits())
         .chain(crate::stripe::limits())
+        .chain(crate::pipeline::sequence::limits())
         .chain(crate::calibration::camera::limits())
         .chain(crate::calibration::light::limits());
     let mut rows: Vec<_> = named(own).chain(named(stages)).collect();
