@@ -184,6 +184,13 @@ impl Surface {
                 })
             })
             .collect();
+        // The size of a grain is the optics': what all stripes say together is surer than what one says.
+        let mut grains: Vec<f64> = points.iter().map(|p| p.correlation).collect();
+        if !grains.is_empty() {
+            let middle = grains.len() / 2;
+            let usual = *grains.select_nth_unstable_by(middle, f64::total_cmp).1;
+            points.iter_mut().for_each(|p| p.correlation = usual);
+        }
         points.sort_by(|a, b| a.frame.cmp(&b.frame).then(a.s.total_cmp(&b.s)));
         let count = 2 * half + 1;
         let mut columns: Vec<Vec<Node>> = vec![Vec::new(); count];

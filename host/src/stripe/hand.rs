@@ -192,37 +192,44 @@ fn measure<P: Pixel>(
     }
 }
 
-/// Moves each centre back by s²·d ln ρ/dv, ρ from the ambient image.
-fn correct_for_albedo<P: Pixel>(ambient: &Image<P>, fits: &mut [Fit]) {
-    let shifts: Vec<f32> = fits
-        .iter()
-        .map(|fit| {
-            // Least-squares slope over ± 2 s, at least five rows; shrunk where it is dim and
-            // the slope is mostly noise.
-            let reach = (2.0 * fit.width).ceil().clamp(2.0, 8.0) as usize;
-            let middle = fit.centre.round() as usize;
-            if middle < reach || middle + reach >= ambient.height() {
-                return 0.0;
-            }
-            let (mut sum, mut moment, mut squares) = (0.0, 0.0, 0.0);
-            for k in 0..=2 * reach {
-                let d = k as f32 - reach as f32;
-                let y: f32 = ambient.at(usize::from(fit.u), middle + k - reach).into();
-                sum += y;
-                moment += d * y;
-                squares += d * d;
-            }
-            let mean = sum / (2 * reach + 1) as f32;
-            let slope = moment / squares / mean.max(1.0);
-            let dark = 8.0 * P::MAX / 255.0;
-            let trust = mean * mean / (mean * mean + dark * dark);
-            trust * slope.clamp(-0.15, 0.15) * fit.width * fit.width
-        })
-        .collect();
+/// Moves each centre back by s²·d ln ρ/dv, ρ from the ambient image; takes out those on an edge
+/// so steep that the profile is cut rather than moved.
+fn correct_for_albedo<P: Pixel>(ambient: &Image<P>, fits: &mut Vec<Fit>) {
+    let slopes: Vec<Option<f32>> = fits.iter().map(|fit| log_slope(ambient, fit)).collect();
     for (i, fit) in fits.iter_mut().enumerate() {
-        let near = &shifts[i.saturating_sub(4)..(i + 5).min(shifts.len())];
-        fit.centre -= near.iter().sum::<f32>() / near.len() as f32;
+        let near = &slopes[i.saturating_sub(4)..(i + 5).min(slopes.len())];
+        let known = near.iter().flatten();
+        let mean = known.clone().sum::<f32>() / (known.count() as f32).max(1.0);
+        fit.centre -= mean * fit.width * fit.width;
     }
+    let mut cut = slopes.iter().map(Option::is_none);
+    fits.retain(|_| cut.next() != Some(true));
+}
+
+/// The steepest course of ln ρ that moves a profile by a shift of its centre, 1/px.
+const STEEP: f32 = 0.15;
+
+/// Least-squares slope of ln ρ over ± 2 s, at least five rows; shrunk where it is dim and the slope
+/// is mostly noise. `None` where it is too steep.
+fn log_slope<P: Pixel>(ambient: &Image<P>, fit: &Fit) -> Option<f32> {
+    let reach = (2.0 * fit.width).ceil().clamp(2.0, 8.0) as usize;
+    let middle = fit.centre.round() as usize;
+    if middle < reach || middle + reach >= ambient.height() {
+        return Some(0.0);
+    }
+    let (mut sum, mut moment, mut squares) = (0.0, 0.0, 0.0);
+    for k in 0..=2 * reach {
+        let d = k as f32 - reach as f32;
+        let y: f32 = ambient.at(usize::from(fit.u), middle + k - reach).into();
+        sum += y;
+        moment += d * y;
+        squares += d * d;
+    }
+    let mean = sum / (2 * reach + 1) as f32;
+    let slope = moment / squares / mean.max(1.0);
+    let dark = 8.0 * P::MAX / 255.0;
+    let slope = slope * mean * mean / (mean * mean + dark * dark);
+    (slope.abs() <= STEEP).then_some(slope)
 }
 
 /// Pieces between gaps and jumps.
@@ -476,6 +483,10 @@ pub fn limits() -> Vec<(&'static str, String)> {
             format!("{OUTLIER} σ"),
         ),
         ("hand stripe: least σ of a centre", format!("{FLOOR} px")),
+        (
+            "hand stripe: centres dropped where brightness changes along the profile by more than",
+            format!("{:.0} % a pixel", 100.0 * STEEP),
+        ),
     ]
 }
 
