@@ -111,6 +111,14 @@ impl Check {
         }
     }
 
+    /// Refuses what is beyond a second, wider limit too.
+    pub fn refused_beyond(mut self, limit: Limit) -> Self {
+        if !self.value.is_some_and(|value| limit.holds(value)) {
+            self.outcome = Outcome::Refused;
+        }
+        self
+    }
+
     /// The sentence and the remedy, if it is not sound.
     pub fn or(mut self, words: impl FnOnce() -> (String, String)) -> Self {
         if !self.sound() {

@@ -124,14 +124,13 @@ pub fn measurement(m: &Measurement) -> String {
 
 /// The report's verdict in a line.
 fn verdict(m: &Measurement) -> String {
-    let words = match crate::checks::sentences(&m.checks).len() {
-        0 => "usable".to_owned(),
-        1 => {
-            "usable with caution: one warning (above, in result.json and in the report)".to_owned()
-        }
-        n => format!("usable with caution: {n} warnings (above, in result.json and in the report)"),
+    let words = crate::checks::verdict(&m.checks);
+    let warnings = match crate::checks::sentences(&m.checks).len() {
+        0 => String::new(),
+        1 => ": one warning (above, in result.json and in the report)".to_owned(),
+        n => format!(": {n} warnings (above, in result.json and in the report)"),
     };
-    format!("\nverdict       {words}")
+    format!("\nverdict       {words}{warnings}")
 }
 
 /// Where the time went, for `-v`.

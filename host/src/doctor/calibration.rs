@@ -2,7 +2,7 @@
 //! loose.
 
 use super::{Check, Checks};
-use crate::checks::Check as Made;
+use crate::checks::{Check as Made, Outcome};
 use crate::output::{CalibrationFile, age, age_words, calibration_checks, read_calibration};
 use crate::pipeline::{PipelineError, belong_together};
 use crate::rig::config::Rig;
@@ -65,7 +65,7 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
             return c.list;
         }
     };
-    c.good("file", format!("{}: sound", file.display()));
+    c.good("file", format!("{}: readable", file.display()));
     let camera = &found.camera;
     match size {
         Some((w, h)) if (w, h) != (camera.width, camera.height) => c.wrong(
@@ -84,11 +84,14 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
     }
     light_planes(file, &found, rig, &mut c);
     let now = jiff::Timestamp::now();
+    let made = calibration_checks(&found, None, now);
     match age(&found) {
-        Some(then) => c.good("age", age_words(then, now)),
+        Some(then) if made.iter().all(|m| m.sound() || !m.what.contains("age")) => {
+            c.good("age", age_words(then, now));
+        }
+        Some(_) => {} // said below
         None => c.skipped("age", "it carries no date"),
     }
-    let made = calibration_checks(&found, None, now);
     if made.iter().all(Made::sound) {
         c.good(
             "tightness",
@@ -96,7 +99,10 @@ pub fn calibration(file: Option<&Path>, size: Option<(u32, u32)>, rig: Option<&R
         );
     }
     for doubt in made.into_iter().filter(|m| m.sentence().is_some()) {
-        c.weak("trust", doubt.words, &doubt.remedy);
+        match doubt.outcome {
+            Outcome::Refused => c.wrong("trust", doubt.words, &doubt.remedy),
+            _ => c.weak("trust", doubt.words, &doubt.remedy),
+        }
     }
     c.list
 }

@@ -104,6 +104,11 @@ impl Default for Limits {
     }
 }
 
+/// Parts of the region's radius at which the angle is looked at again.
+pub const SMALLER: [f64; 3] = [0.75, 0.5, 1.0 / 3.0];
+/// The smallest radius at which it is, mm: four stripes of a scan in 2 mm steps.
+pub const LEAST_RADIUS_MM: f64 = 4.0;
+
 /// What a decision is made with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -151,9 +156,12 @@ pub struct Decision {
     /// Radius of the cylinder whose surface would be as far from its plane, mm; infinite for a flat
     /// region.
     pub bend_mm: f64,
-    /// The needle's angle to the plane of half the region's radius, rad: how much the angle hangs
-    /// on the radius. `None` where that has no plane.
+    /// The needle's angle to the plane of half the region's radius, rad. `None` where that has no
+    /// plane.
     pub inner_angle: Option<f64>,
+    /// The smaller radius, mm, to whose plane the needle's angle differs most, and that angle, rad:
+    /// how much the angle hangs on the radius. `None` where half the radius has no plane.
+    pub turned: Option<(f64, f64)>,
     /// Where the entry pixel's ray meets the measured surface (or the plane, in the paper's way).
     pub entry: Point3,
     /// The vein's points on the surface, as far as the surface was measured there.
@@ -175,14 +183,15 @@ impl Decision {
         [-n.x / n.z, -n.y / n.z, -self.plane.d / n.z]
     }
 
-    /// How far the needle's angle changes if the plane is fitted within half the radius, rad: the
-    /// known part of the model's error, that a hand is no plane. `None` where that has no plane.
+    /// How far the needle's angle changes at most if the plane is fitted within a smaller radius
+    /// ([`SMALLER`], and [`LEAST_RADIUS_MM`]), rad: what is known of the model's error, that a hand
+    /// is no plane. `None` where half the radius has no plane.
     pub fn radius_change(&self) -> Option<f64> {
-        Some(self.inner_angle? - self.needle.angle)
+        Some(self.turned?.1 - self.needle.angle)
     }
 
     /// What makes the angle mean less than its figure says.
-    fn weigh(&mut self, radius_mm: f64, limits: &Limits) {
+    fn weigh(&self, radius_mm: f64, limits: &Limits) -> Vec<Check> {
         let curved = Check::held(
             "region: RMS distance from its plane",
             self.rms_mm,
@@ -201,15 +210,16 @@ impl Decision {
                 "choose a flatter entry or a smaller radius_mm".to_owned(),
             )
         });
-        let what = "needle angle: change with half the region’s radius";
-        let turned = match self.radius_change() {
-            Some(change) => {
+        let what = "needle angle: largest change with a smaller radius";
+        let turned = match self.turned {
+            Some((inner_mm, inner)) => {
+                let change = inner - self.needle.angle;
                 let limit = Limit::AtMost(limits.turn.to_degrees());
                 Check::held(what, change.abs().to_degrees(), limit, "°").or(|| {
                     (
                         format!(
-                            "the angle hangs on the region’s radius: the same needle stands at {:.1}° to the plane of half the radius, at {:.1}° to this one",
-                            (self.needle.angle + change).to_degrees(),
+                            "the angle hangs on the region’s radius: the same needle stands at {:.1}° to the plane within {inner_mm:.0} mm, at {:.1}° to this one",
+                            inner.to_degrees(),
                             self.needle.angle.to_degrees(),
                         ),
                         "choose another entry, or give the radius that the needle’s contact asks for".to_owned(),
@@ -238,7 +248,7 @@ impl Decision {
                 "choose an entry farther from the hand’s edge or a smaller radius_mm, or scan farther".to_owned(),
             )
         });
-        self.checks.extend([curved, turned, whole]);
+        let mut all = vec![curved, turned, whole];
         if let Some(line) = axis::line(&self.vein) {
             let most = Limit::AtMost(limits.beside_mm);
             let beside = axis::beside(&self.vein, &line, &self.entry);
@@ -258,8 +268,9 @@ impl Decision {
                     "give its course near the entry only".to_owned(),
                 )
             });
-            self.checks.extend([through, straight]);
+            all.extend([through, straight]);
         }
+        all
     }
 }
 
@@ -273,12 +284,29 @@ pub fn decide(
     request: &EntryRequest,
     settings: &Settings,
 ) -> Result<Decision, NeedleError> {
+    let mut checks = Vec::new();
+    let mut decision = decide_noting(cloud, rig, request, settings, &mut checks)?;
+    decision.checks = checks;
+    Ok(decision)
+}
+
+/// The same, with the checks made on the way in `checks` rather than in the decision: they are known
+/// of a refusal, too.
+///
+/// # Errors
+/// As of [`decide`].
+pub fn decide_noting(
+    cloud: &[CloudPoint],
+    rig: &RigModel,
+    request: &EntryRequest,
+    settings: &Settings,
+    checks: &mut Vec<Check>,
+) -> Result<Decision, NeedleError> {
     let limits = &settings.limits;
     let ray = rig.camera.ray(&request.pixel).ok_or(NeedleError::NoRay)?;
     let start = surface::near(cloud, &request.pixel, &ray)?;
-    let mut checks = Vec::new();
     let mut holds = |what: &str, value: f64, limit: Limit, unit: &str| {
-        let check = Check::held(what, value, limit, unit);
+        let check = Check::held(what, value, limit, unit).refused_beyond(limit);
         let sound = check.sound();
         checks.push(check);
         sound
@@ -464,12 +492,25 @@ pub fn decide(
             entry_limit_mm: limits.entry_sigma_mm,
         });
     }
-    let inner = surface.patch(&met, 0.5 * request.radius_mm, Interpolation::Cubic);
-    let inner_angle = PlaneFit::new(&inner.cells).map(|fit| {
-        let sine = fit.plane.normal.dot(&needle.axis).abs();
-        sine.min(1.0).asin()
+    let within = |radius: f64| {
+        let inner = surface.patch(&met, radius, Interpolation::Cubic);
+        let sine = PlaneFit::new(&inner.cells)?.plane.normal.dot(&needle.axis);
+        Some(sine.abs().min(1.0).asin())
+    };
+    let inner_angle = within(0.5 * request.radius_mm);
+    let turned = inner_angle.and_then(|half| {
+        let parts = SMALLER.map(|part| part * request.radius_mm);
+        let smaller = parts.into_iter().chain([LEAST_RADIUS_MM]);
+        smaller
+            .filter(|r| (LEAST_RADIUS_MM..request.radius_mm).contains(r))
+            .filter_map(|radius| Some((radius, within(radius)?)))
+            .chain([(0.5 * request.radius_mm, half)])
+            .max_by(|a, b| {
+                let change = |turned: &(f64, f64)| (turned.1 - needle.angle).abs();
+                change(a).total_cmp(&change(b))
+            })
     });
-    let mut decision = Decision {
+    let decision = Decision {
         plane,
         points: region.len(),
         stripes,
@@ -478,14 +519,15 @@ pub fn decide(
         // z = x²/2ρ over a disc of radius r is r²/8ρ off its mean, root mean square.
         bend_mm: request.radius_mm.powi(2) / (8.0 * area.rms_mm),
         inner_angle,
+        turned,
         entry,
         vein,
         direction,
         needle,
         uncertainty,
-        checks,
+        checks: Vec::new(),
     };
-    decision.weigh(request.radius_mm, limits);
+    checks.extend(decision.weigh(request.radius_mm, limits));
     Ok(decision)
 }
 
@@ -656,9 +698,13 @@ mod tests {
     fn an_angle_that_hangs_on_the_radius_is_named() {
         for (c, said) in [(5e-4, 1), (1e-4, 0)] {
             let d = decision(|x| c * x.powi(3));
-            let turn = (0.5 * c * 144.0_f64).atan() - (0.5 * c * 36.0_f64).atan();
-            let found = (d.inner_angle.unwrap() - d.needle.angle).abs();
-            assert!((found / turn - 1.0).abs() < 0.06, "{found} {turn}");
+            // A disc of radius r holds the slope c·r²/2; the smallest looked at is a third of 12 mm.
+            let slope = |r: f64| (0.5 * c * r * r).atan();
+            for (inner, r) in [(d.inner_angle.unwrap(), 6.0), (d.turned.unwrap().1, 4.0)] {
+                let (found, turn) = ((inner - d.needle.angle).abs(), slope(12.0) - slope(r));
+                assert!((found / turn - 1.0).abs() < 0.06, "{found} {turn}");
+            }
+            assert_eq!(d.turned.unwrap().0, 4.0);
             let words = crate::checks::sentences(&d.checks);
             let named = words.iter().filter(|w| w.contains("hangs on the region"));
             assert_eq!(named.count(), said, "{words:?}");

@@ -172,11 +172,14 @@ struct Needle {
     axis: [f64; 3],
     /// What measuring leaves open: standard deviation by stripe, sampling and calibration.
     angle_sigma_deg: f64,
-    /// What the model is known to leave open beside that: how much the angle changes if the plane is
-    /// fitted within half the radius (a hand is no plane). Systematic: repeating the scan does not
-    /// make it smaller.
+    /// What the model is known to leave open beside that: how much the angle changes at most if the
+    /// plane is fitted within a smaller radius (a hand is no plane). Systematic: repeating the scan
+    /// does not make it smaller.
     #[serde(skip_serializing_if = "Option::is_none")]
     angle_systematic_deg: Option<f64>,
+    /// The radius to whose plane it changes so much, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    angle_systematic_radius_mm: Option<f64>,
     angle_source: AngleSource,
     /// The same needle's angle to the plane of half the region's radius.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -280,6 +283,7 @@ impl ResultFile {
                 axis: three(&d.needle.axis),
                 angle_sigma_deg: u.angle_sigma.to_degrees(),
                 angle_systematic_deg: d.radius_change().map(|r| r.abs().to_degrees()),
+                angle_systematic_radius_mm: d.turned.map(|(radius, _)| radius),
                 angle_source: source,
                 angle_at_half_radius_deg: d.inner_angle.map(f64::to_degrees),
                 axis_sigma_deg: u.axis_sigma().to_degrees(),

@@ -11,6 +11,13 @@ pub const OLD_DAYS: i64 = 30;
 pub const LOOSE_CORNERS_PX: f64 = 0.3;
 /// Positions predicted from the others that miss by more on the mean, mm: the paper's own level.
 pub const LOOSE_PLANES_MM: f64 = 0.1;
+/// Beyond these a calibration is refused: a year without a look at it, corners off by more than a
+/// pixel, planes by more than a needle is wide.
+pub const REFUSED_DAYS: i64 = 365;
+/// See [`REFUSED_DAYS`].
+pub const REFUSED_CORNERS_PX: f64 = 1.0;
+/// See [`REFUSED_DAYS`].
+pub const REFUSED_PLANES_MM: f64 = 1.0;
 /// Standard deviations that the calibration alone may put on entry (mm) and needle axis (degrees)
 /// before it is called loose.
 pub const LOOSE_ENTRY_MM: f64 = 0.2;
@@ -94,10 +101,12 @@ pub fn calibration_checks(
             Limit::AtMost(OLD_DAYS as f64),
             "days",
         );
+        let old = old.refused_beyond(Limit::AtMost(REFUSED_DAYS as f64));
         all.push(old.or(|| {
             let days = apart.abs().as_hours() / 24;
             let what = match (scan, apart > SignedDuration::ZERO) {
-                (None, _) => format!("the calibration is {days} days old"),
+                (None, true) => format!("the calibration is {days} days old"),
+                (None, false) => format!("the calibration is of {days} days from now"),
                 (Some(_), true) => format!("the calibration was {days} days old at the scan"),
                 (Some(_), false) => format!("the calibration is of {days} days after the scan"),
             };
@@ -142,13 +151,14 @@ pub fn calibration_checks(
     let corners = Check::held(
         "calibration: corners off the fitted boards, RMS",
         file.camera.rms_px,
-        Limit::AtMost(LOOSE_CORNERS_PX),
+        Limit::Between([0.0, LOOSE_CORNERS_PX]),
         "px",
-    );
+    )
+    .refused_beyond(Limit::Between([0.0, REFUSED_CORNERS_PX]));
     all.push(corners.or(|| {
         because(
             format!(
-                "the calibration is loose: corners miss by {:.2} px (more than {LOOSE_CORNERS_PX})",
+                "the calibration is loose: corners miss by {:.2} px (0 to {LOOSE_CORNERS_PX} are good)",
                 file.camera.rms_px
             ),
             "calibrate again with a flat board, sharp and still",
@@ -156,8 +166,9 @@ pub fn calibration_checks(
     }));
     let light = file.light.as_ref();
     if let Some(miss) = light.and_then(|l| l.hold_out_error_mm.or(l.offset_error_mm)) {
-        let limit = Limit::AtMost(LOOSE_PLANES_MM);
-        let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm");
+        let limit = Limit::Between([0.0, LOOSE_PLANES_MM]);
+        let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm")
+            .refused_beyond(Limit::Between([0.0, REFUSED_PLANES_MM]));
         all.push(planes.or(|| {
             because(
                 format!(
@@ -302,6 +313,31 @@ mod tests {
                 doubt.contains(word) && doubt.contains("unknown"),
                 "{doubt:?}"
             );
+        }
+    }
+
+    #[test]
+    fn one_far_too_old_or_too_loose_is_refused() {
+        let verdict = |file: &CalibrationFile, now| {
+            crate::checks::verdict(&calibration_checks(file, None, now))
+        };
+        for (days, words) in [
+            (3, "usable"),
+            (45, "usable with caution"),
+            (400, "not usable"),
+        ] {
+            let (file, now) = dated(days);
+            assert_eq!(verdict(&file, now), words);
+        }
+        for rms in [-3.0, 1.2, 50.0] {
+            let (mut file, now) = dated(1);
+            file.camera.rms_px = rms;
+            assert_eq!(verdict(&file, now), "not usable", "{rms}");
+        }
+        for miss in [-0.1, 5.0] {
+            let (mut file, now) = dated(1);
+            file.light.as_mut().unwrap().hold_out_error_mm = Some(miss);
+            assert_eq!(verdict(&file, now), "not usable", "{miss}");
         }
     }
 

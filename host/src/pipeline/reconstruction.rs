@@ -207,7 +207,7 @@ impl<P: Pixel> Reconstruction<P> {
         Ok(points)
     }
 
-    /// Plane, entry and needle from what has been scanned.
+    /// Plane, entry and needle from what has been scanned; the checks made on the way go to `checks`.
     ///
     /// # Errors
     /// Why no angle is given.
@@ -215,6 +215,7 @@ impl<P: Pixel> Reconstruction<P> {
         &self,
         request: &EntryRequest,
         settings: &needle::Settings,
+        checks: &mut Vec<Check>,
     ) -> Result<Decision, NeedleError> {
         let mut settings = *settings;
         let mut cloud = &self.measured;
@@ -222,7 +223,7 @@ impl<P: Pixel> Reconstruction<P> {
             settings.method = PlaneMethod::Paper;
             cloud = &self.cloud;
         }
-        needle::decide(cloud, &self.rig, request, &settings)
+        needle::decide_noting(cloud, &self.rig, request, &settings, checks)
     }
 
     /// The measurement, once all frames are in. `file` is what an error names, `checks` those made so
@@ -245,6 +246,7 @@ impl<P: Pixel> Reconstruction<P> {
                 "the paper’s way, to compare with: the stated σ leave out what its thinning and its plane of z-distances add (ten times as much and more)",
             ));
         }
+        let mut made = Vec::new();
         let decided = times.time(Stage::Needle, || {
             let breaks = sequence::breaks(&self.cloud, &self.positions, self.settings.axis);
             checks.push(Check::held(
@@ -256,7 +258,7 @@ impl<P: Pixel> Reconstruction<P> {
             if let Some(first) = breaks.first() {
                 return Err(first.error());
             }
-            self.decide(&request, settings)
+            self.decide(&request, settings, &mut made)
         });
         match decided {
             Ok(decision) => Ok(Measurement {
@@ -264,7 +266,10 @@ impl<P: Pixel> Reconstruction<P> {
                 background: self.background,
                 counts: self.counts,
                 request,
-                decision,
+                decision: Decision {
+                    checks: made,
+                    ..decision
+                },
                 checks,
             }),
             Err(source) => Err(PipelineError::Needle {
@@ -273,7 +278,7 @@ impl<P: Pixel> Reconstruction<P> {
                 scanned: Box::new(Scanned {
                     cloud: self.cloud,
                     request,
-                    checks,
+                    checks: crate::checks::of("needle", made).chain(checks).collect(),
                 }),
             }),
         }

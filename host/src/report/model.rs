@@ -77,8 +77,9 @@ pub struct Needle {
     pub region_rms_mm: f64,
     /// Radius of the cylinder that is as far from its plane, mm.
     pub bend_mm: f64,
-    /// The same needle's angle to the plane of half the radius, degrees.
-    pub inner_angle_deg: Option<f64>,
+    /// The smaller radius, mm, to whose plane the same needle's angle differs most, and that angle,
+    /// degrees.
+    pub turned: Option<(f64, f64)>,
     /// Radius of the region, mm.
     pub radius_mm: f64,
     /// The camera's frame, and the robot's where given.

@@ -105,7 +105,10 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     };
     let verdict = Verdict {
         usable: checks.iter().all(|c| c.outcome != checks::Outcome::Refused),
-        reasons: reasons.to_vec(),
+        reasons: match measured {
+            Some(_) => refused_words(&checks),
+            None => reasons.to_vec(),
+        },
         warnings: checks
             .iter()
             .filter(|c| c.outcome != checks::Outcome::Refused)
@@ -155,6 +158,14 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
 
 /// The part whose checks stand in the calibration's section too.
 const CALIBRATION: &str = "calibration";
+
+/// Why a result that stands is not to be used.
+fn refused_words(checks: &[Check]) -> Vec<String> {
+    let refused = checks
+        .iter()
+        .filter(|c| c.outcome == checks::Outcome::Refused);
+    refused.filter_map(Check::sentence).collect()
+}
 
 /// What refuses, as checks.
 fn refusals<'a>(part: &'a str, reasons: &'a [String]) -> impl Iterator<Item = Check> + 'a {

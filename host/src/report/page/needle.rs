@@ -28,16 +28,16 @@ fn angle(n: &Needle) -> Markup {
             (number(n.angle_deg, 1)) "°"
             small {
                 " ± " (number(n.angle_sigma_deg, 2)) "° measured (1 σ), "
-                @match n.inner_angle_deg {
-                    Some(inner) => { "± " (number((inner - n.angle_deg).abs(), 2)) "° by the region’s radius" },
+                @match n.turned {
+                    Some((_, inner)) => { "± " (number((inner - n.angle_deg).abs(), 2)) "° by the region’s radius" },
                     None => "the radius’s part unknown",
                 }
             }
         }
         p.soft {
             "Needle to the plane of the skin at the entry; wanted angle from " (n.angle_source) ". "
-            @if let Some(inner) = n.inner_angle_deg {
-                "A hand is no plane: to the one fitted within " (number(0.5 * n.radius_mm, 1)) " mm of the entry, rather than " (number(n.radius_mm, 1)) " mm, the same needle stands at " (number(inner, 2)) "°. That part is systematic: no repetition makes it smaller."
+            @if let Some((inner_mm, inner)) = n.turned {
+                "A hand is no plane: to the one fitted within " (number(inner_mm, 1)) " mm of the entry, rather than " (number(n.radius_mm, 1)) " mm, the same needle stands at " (number(inner, 2)) "°. Of the smaller radii looked at this one differs most. That part is systematic: no repetition makes it smaller."
             }
         }
     }

@@ -34,7 +34,7 @@ pub fn needle(m: &Measurement, angle_source: &str, robot: Option<&[[f64; 4]; 4]>
         region_points: d.points,
         region_rms_mm: d.rms_mm,
         bend_mm: d.bend_mm,
-        inner_angle_deg: d.inner_angle.map(f64::to_degrees),
+        turned: d.turned.map(|(radius, angle)| (radius, angle.to_degrees())),
         radius_mm: m.request.radius_mm,
         frames,
     }

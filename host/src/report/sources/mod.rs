@@ -14,7 +14,10 @@ pub use puncture::puncture_folder;
 
 use super::model::Provenance;
 use crate::needle::surface::{BROAD_MM, FINE_MM, GAP_SPACINGS};
-use crate::output::{LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS};
+use crate::output::{
+    LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS,
+    REFUSED_CORNERS_PX, REFUSED_DAYS, REFUSED_PLANES_MM,
+};
 use crate::pipeline::{Method, Times};
 
 /// What is known of every run.
@@ -124,6 +127,12 @@ pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
     let own = [
         ("method", method.name().to_owned()),
         ("calibration: old after", format!("{OLD_DAYS} days")),
+        (
+            "calibration: refused beyond",
+            format!(
+                "{REFUSED_DAYS} days, corners {REFUSED_CORNERS_PX} px, planes {REFUSED_PLANES_MM} mm"
+            ),
+        ),
         (
             "calibration: loose if corners miss by",
             format!("{LOOSE_CORNERS_PX} px"),
