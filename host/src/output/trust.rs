@@ -1,6 +1,6 @@
 //! Whether a calibration is still to be trusted: its age and how loose it is.
 
-use super::CalibrationFile;
+use super::{CalibrationFile, LightFile};
 use crate::checks::{self, Check, Limit};
 use crate::needle::Uncertainty;
 use jiff::{SignedDuration, Timestamp};
@@ -18,6 +18,8 @@ pub const REFUSED_DAYS: i64 = 365;
 pub const REFUSED_CORNERS_PX: f64 = 1.0;
 /// See [`REFUSED_DAYS`].
 pub const REFUSED_PLANES_MM: f64 = 1.0;
+/// A line farther off its own planes was not fitted to them.
+pub const OWN_PLANES_MM: f64 = 5.0;
 /// Standard deviations that the calibration alone may put on entry (mm) and needle axis (degrees)
 /// before it is called loose.
 pub const LOOSE_ENTRY_MM: f64 = 0.2;
@@ -178,9 +180,32 @@ pub fn calibration_checks(
             )
         }));
     }
+    all.extend(light.and_then(own_planes));
     all.extend(file.checks.iter().cloned());
     all.extend(own_words(file));
     all
+}
+
+/// Whether D = a·x + b is the line of the planes in the same file. Each of those has a normal of its
+/// own, so that they lie off it by some tenths of a millimetre.
+fn own_planes(light: &LightFile) -> Option<Check> {
+    let (a, b) = (light.a?, light.b?);
+    let off = light
+        .planes
+        .iter()
+        .map(|p| (a * p.slide_mm + b - p.d).abs());
+    let mean = off.sum::<f64>() / light.planes.len() as f64;
+    let limit = Limit::AtMost(OWN_PLANES_MM);
+    let what = "calibration: D = a·x + b off the planes in its file, mean";
+    let check = Check::held(what, mean, limit, "mm").refused_beyond(limit);
+    (!light.planes.is_empty()).then(|| {
+        check.or(|| {
+            (
+                format!("the calibration contradicts itself: its line D = a·x + b lies {mean:.1} mm off its own planes"),
+                REMAKE.to_owned(),
+            )
+        })
+    })
 }
 
 /// What the calibration said of itself when it was made.
@@ -334,6 +359,11 @@ mod tests {
             file.camera.rms_px = rms;
             assert_eq!(verdict(&file, now), "not usable", "{rms}");
         }
+        let (mut file, now) = dated(1);
+        if let Some(b) = &mut file.light.as_mut().unwrap().b {
+            *b += 40.0;
+        }
+        assert_eq!(verdict(&file, now), "not usable");
         for miss in [-0.1, 5.0] {
             let (mut file, now) = dated(1);
             file.light.as_mut().unwrap().hold_out_error_mm = Some(miss);

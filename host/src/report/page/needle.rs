@@ -1,7 +1,7 @@
 //! The top of the page: angle, verdict, entry and axis, the picture; and the stripes.
 
 use super::table::table;
-use super::{chart, decimals, number};
+use super::{decimals, number, small_chart};
 use crate::report::chart as charts;
 use crate::report::model::{Needle, Picture, Report, StripeSample, Verdict};
 use crate::report::raster;
@@ -164,7 +164,7 @@ fn sample(s: &StripeSample) -> Markup {
                 }
                 figcaption { (s.name) ", slide at " (number(s.slide_mm, 2)) " mm; u " (s.origin[0]) " to " (s.origin[0] + s.image.width as f64 - 1.0) ", v " (s.origin[1]) " to " (s.origin[1] + s.image.height as f64 - 1.0) " px" }
             }
-            (chart(&charts::quality(s)))
+            (small_chart(&charts::quality(s)))
         }
     }
 }
