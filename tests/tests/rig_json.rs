@@ -42,7 +42,6 @@ fn hands_on_commands() {
     for command in ["stop", "release"] {
         assert_eq!(object(&["motion", port, command])["moving"], false);
     }
-    assert_eq!(object(&["motion", port, "reboot"])["rebooted"], true);
     let taken = &object(&["motion", port, "config"])["configuration"];
     assert_eq!(taken["steps_per_mm"]["numerator"], 800);
     assert_eq!(taken["travel_um"], 300_000);
@@ -59,6 +58,45 @@ fn hands_on_commands() {
     ] {
         assert_eq!(ran(&words), (Some(expected), String::new()), "{words:?}");
     }
+}
+
+/// A board that was homed and starts anew knows nothing any more, and homes again.
+#[cfg(unix)]
+#[test]
+fn a_board_that_starts_anew_comes_back() {
+    use cannula::rig::{config::Rig, open};
+    use cannula::simulation::mcu::{Pin, RealTime};
+    let real = RealTime::start(open::simulated_board(&Rig::default())).unwrap();
+    let motion = |words: &[&str]| {
+        let all = [&["--json", "motion", "--port", real.path()], words].concat();
+        let ended = wait_output(start(&all), Duration::from_secs(60));
+        let (_, out) = ended.out.split_once("the_program ... ").expect("announced");
+        assert_eq!(ended.status, Some(0), "{words:?}: {}", ended.said);
+        serde_json::from_str::<Value>(out).unwrap()
+    };
+    motion(&["home"]);
+    let before = motion(&["move", "12.5"]);
+    assert_eq!(before["position_mm"], 12.5);
+    motion(&["reboot"]);
+    let after = motion(&["status"]);
+    let up = |status: &Value| status["uptime_us"].as_u64().unwrap();
+    assert!(up(&after) < up(&before), "{before} {after}");
+    assert_eq!(
+        (&after["position_known"], &after["driver"], &after["laser"]),
+        (&false.into(), &false.into(), &false.into())
+    );
+    assert!(!real.board().board().level(Pin::Laser));
+    // The slide itself stands where it was, and is found again.
+    assert_eq!(real.board().board().rig().slide, 800 * 12 + 400 + 800 * 4);
+    assert_eq!(motion(&["home"])["position_mm"], 0.0);
+    assert_eq!(real.board().board().rig().slide, 800 * 4);
+
+    // In its bootloader it is no motion board: said, not waited for without end.
+    motion(&["reboot", "--bootloader"]);
+    assert_eq!(
+        ran(&["motion", "--port", real.path(), "status"]),
+        (Some(1), String::new())
+    );
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::pipe::{Pipe, SerialPipe};
 use super::scan::Scan;
 use super::session::{Counts, Session};
 use cannula_shared::config::Config;
-use cannula_shared::hello::Hello;
+use cannula_shared::hello::{Hello, ResetReason};
 use cannula_shared::message::{
     Command, Event, Outcome, Reply, ScanRequest, Status, Telemetry, Trigger,
 };
@@ -415,7 +415,11 @@ impl Board {
 
     /// Starts the board anew, into the USB bootloader if asked. The session is over.
     pub fn reboot(&self, bootloader: bool) -> Result<()> {
-        self.done(Command::Reboot { bootloader })
+        match self.done(Command::Reboot { bootloader }) {
+            // It is up again before its answer was looked at: what was asked for.
+            Err(LinkError::Restarted(ResetReason::Software)) => Ok(()),
+            other => other,
+        }
     }
 
     /// Events that nobody has waited for (faults at rest, remains of an earlier session).

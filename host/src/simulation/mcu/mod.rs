@@ -27,7 +27,7 @@ pub use pty::{RealTime, Terminal};
 pub use trace::{Edge, Pin, Trace};
 pub use world::{Exposed, Rig, Switch};
 
-use cannula_firmware::board::Board;
+use cannula_firmware::board::{Board, Reboot};
 use cannula_firmware::pins::Pins;
 use cannula_shared::hello::{Identity, ResetReason};
 use cannula_shared::units::{CYCLES_PER_MICRO, Cycles, Micros};
@@ -339,8 +339,18 @@ impl SimulatedBoard {
             self.to_host
                 .send(self.now, packet.get(..count).unwrap_or(&[]));
         }
-        let wake = self.booted + wake.to_cycles().0;
-        self.next_poll = wake.max(self.now + POLL_COST.0);
+        match self.logic.reboot_requested() {
+            Some(Reboot::Program) => self.restart(ResetReason::Software),
+            // No program of ours runs there, so nobody answers on this port any more.
+            Some(Reboot::Bootloader) => {
+                self.restart(ResetReason::Software);
+                self.kill_cpu();
+            }
+            None => {
+                let wake = self.booted + wake.to_cycles().0;
+                self.next_poll = wake.max(self.now + POLL_COST.0);
+            }
+        }
     }
 
     fn record_outputs(&mut self) {
