@@ -77,6 +77,7 @@ pub struct Rig {
 #[allow(missing_docs, reason = "documented in EXAMPLE, key by key")]
 pub struct Board {
     pub port: String,
+    #[serde(deserialize_with = "syntax::exactly")]
     pub steps_per_mm: [u32; 2],
     pub invert_direction: bool,
     pub travel_mm: f64,
@@ -98,6 +99,7 @@ pub struct Camera {
     pub kind: CameraKind,
     pub device: String,
     pub pixel_format: String,
+    #[serde(deserialize_with = "syntax::exactly")]
     pub region: [u32; 4],
     pub trigger: TriggerSource,
     pub trigger_line: String,
@@ -306,14 +308,9 @@ impl Rig {
 
     /// Parses and checks; `path` is for messages only.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        let rig: Self = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(0, |s| {
-                text[..s.start.min(text.len())].matches('\n').count() + 1
-            });
-            ConfigError::Syntax {
-                path: path.to_owned(),
-                reason: format!("line {line}: {}", e.message().replace('\n', " ")),
-            }
+        let rig: Self = toml::from_str(text).map_err(|e| ConfigError::Syntax {
+            path: path.to_owned(),
+            reason: syntax::reason(text, &e),
         })?;
         rig.check(path)?;
         Ok(rig)
@@ -501,7 +498,10 @@ impl Rig {
                 &format!("{} to {} in that unit, given the other keys", e.min, e.max),
             );
         }
-        Ok(())
+        match plan::objection(self) {
+            Some(o) => fail(o.key, o.value, &o.wanted),
+            None => Ok(()),
+        }
     }
 
     /// What a UVC camera can't do is refused rather than passed over.
@@ -658,5 +658,7 @@ fn key_of(field: Field) -> &'static str {
     }
 }
 
+mod plan;
+mod syntax;
 #[cfg(test)]
 mod tests;

@@ -24,8 +24,36 @@ fn the_example_says_every_default() {
 #[test]
 fn what_is_wrong_is_said_with_its_key() {
     for (text, words) in [
-        ("[board]\nspeed = 3", "line 2: unknown field `speed`"),
-        ("[camera]\nkind = \"usb\"", "line 2: unknown variant `usb`"),
+        (
+            "[board]\nspeed = 3",
+            "line 2, board.speed: unknown field `speed`",
+        ),
+        (
+            "[camera]\nkind = \"usb\"",
+            "line 2, camera.kind: unknown variant `usb`",
+        ),
+        (
+            "[board]\nsteps_per_mm = [800, 1, 1]",
+            "line 2, board.steps_per_mm: invalid length 3",
+        ),
+        (
+            "[camera]\nregion = [0, 0, 640]",
+            "line 2, camera.region: invalid length 3, expected 4 numbers",
+        ),
+        (
+            "[scan]\n\nmode = \"warp\"",
+            "line 3, scan.mode: unknown variant `warp`",
+        ),
+        (
+            "[board]\ntravel_mm = \"long\"",
+            "line 2, board.travel_mm: invalid type: string",
+        ),
+        (
+            "scan = { count = -1 }",
+            "line 1, scan.count: invalid value: integer",
+        ),
+        ("board = 3", "line 1, board: invalid type: integer"),
+        ("[rail]\nx = 1", "line 1, rail: unknown field `rail`"),
         (
             "[camera]\nexposure_laser_ms = 0.0",
             "camera.exposure_laser_ms is 0: give 0.001 to 1000",
@@ -76,6 +104,32 @@ fn what_is_wrong_is_said_with_its_key() {
             "camera.region is [0, 0, 640, 0]: give [left, top, width, height]",
         ),
         ("[scan]\nspeed_mm_s = nan", "scan.speed_mm_s is NaN"),
+        // What the board itself would refuse at the scan.
+        (
+            "[camera]\nexposure_laser_ms = 1.0\nframe_time_ms = 5.0\n[scan]\nspeed_mm_s = 40.0\nspacing_mm = 0.5",
+            "scan.speed_mm_s is 40: give less, or a greater scan.start_mm",
+        ),
+        (
+            "[scan]\nspeed_mm_s = 0.5\nspacing_mm = 0.01",
+            "scan.spacing_mm is 0.01: give more, or a lower scan.speed_mm_s: trigger 1 would come",
+        ),
+        (
+            "[scan]\nspeed_mm_s = 2.0\nspacing_mm = 0.0015",
+            "scan.spacing_mm is 0.0015: give more",
+        ),
+        (
+            "[scan]\nstart_mm = 240.0",
+            "scan.count is 31: give fewer positions: with its ramp down the slide would go to 301.00",
+        ),
+        (
+            "[light]\nspacing_mm = 0.001",
+            "light.spacing_mm is 0.001: give at least 0.002",
+        ),
+        // 2 mm at 20 mm/s are 100 ms.
+        (
+            "[camera]\nframe_time_ms = 95.1\nexposure_laser_ms = 5.0",
+            "scan.speed_mm_s is 20: give at most 19.980, or a shorter camera.exposure_laser_ms",
+        ),
         ("[board\n", "line 1"),
     ] {
         let said = parse(text).unwrap_err().to_string();
@@ -84,6 +138,19 @@ fn what_is_wrong_is_said_with_its_key() {
             "{text}: {said}"
         );
         assert!(!said.contains('\n'));
+    }
+}
+
+#[test]
+fn what_just_fits_is_sound() {
+    for text in [
+        "[camera]\nframe_time_ms = 95.0\nexposure_laser_ms = 5.0",
+        // Where it stops there is time for all of it.
+        "[camera]\nframe_time_ms = 500.0\nexposure_laser_ms = 50.0\n[scan]\nmode = \"stop\"",
+        "[scan]\nstart_mm = 10.0\nspeed_mm_s = 40.0",
+        "[scan]\nstart_mm = 238.9",
+    ] {
+        parse(text).unwrap();
     }
 }
 
