@@ -8,7 +8,7 @@ use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigge
 use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula::rig::matching::Fault;
 use cannula::rig::open::{self, Opened};
-use cannula::rig::progress;
+use cannula::rig::progress::{self, Part};
 use cannula::rig::recording::Recording;
 use cannula::rig::simulated::{Fate, SimulatedCamera};
 use cannula::simulation::mcu::{Pin, VirtualPipe};
@@ -388,7 +388,7 @@ fn another_rig_or_scene_does_not_go_on_with_a_scan() {
         }),
     ];
     // None is forgotten.
-    let named: Vec<String> = progress::settings(&rig).into_keys().collect();
+    let named: Vec<String> = progress::settings(&rig, Part::Scan).into_keys().collect();
     let mut changed = changes.map(|(key, _)| key);
     changed.sort_unstable();
     assert_eq!(named, changed);
@@ -444,6 +444,48 @@ fn another_rig_or_scene_does_not_go_on_with_a_scan() {
         .filter(|(path, _)| path.extension().is_some_and(|e| e == "png"))
     {
         assert_eq!(after.get(path), Some(image), "{}", path.display());
+    }
+}
+
+/// A power cut leaves files without their content: those positions are visited again, the others not.
+#[test]
+fn images_that_cannot_be_read_are_taken_again() {
+    let rig = rig(Mode::Stop);
+    let (mut opened, _) = opened(&rig);
+    let dir = tempfile::tempdir().unwrap();
+    let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    let cancel = AtomicBool::new(false);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+    let begun = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
+        if matches!(step, Step::Shot(s) if s.index == 5) {
+            cancel.store(true, Ordering::Relaxed);
+        }
+        Ok(())
+    });
+    assert!(begun.is_err());
+    cancel.store(false, Ordering::Relaxed);
+    let before = bytes(&dir.path().join("scan"));
+    let image = |k: usize| dir.path().join(format!("scan/{k:03}.png"));
+    let whole = before[&image(1)].clone();
+    std::fs::write(image(1), &whole[..whole.len() / 2]).unwrap();
+    std::fs::write(image(3), "").unwrap();
+    let standing = (0..12).filter(|k| before.contains_key(&image(*k))).count();
+    let scanned = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |_| {
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!((scanned.stood, scanned.sweep.shots), (standing - 2, 12));
+    // Every header and every image is read by these.
+    let session = cannula::session::Session::open(dir.path()).unwrap();
+    let frames = session.manifest.scan.unwrap().frames;
+    let at: Vec<_> = frames.iter().filter_map(|f| f.slide_steps).collect();
+    assert_eq!(at, (0..12).map(|k| 800 * (16 + 2 * k)).collect::<Vec<_>>());
+    for (k, frame) in frames.iter().enumerate() {
+        assert_eq!(dir.path().join(&frame.image), image(k));
+        cannula::session::decode(&image(k)).unwrap_or_else(|e| panic!("{e}"));
+        if let Some(then) = before.get(&image(k)).filter(|_| k != 1 && k != 3) {
+            assert_eq!(&session_image(dir.path(), frame), then, "{k}");
+        }
     }
 }
 

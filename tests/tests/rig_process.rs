@@ -8,6 +8,7 @@ use cannula::rig::open;
 use cannula::simulation::mcu::{Pin, RealTime};
 use cannula_shared::units::CYCLES_PER_MICRO;
 use cannula_tests::program::{self, signal, start, wait, whole};
+use cannula_tests::sweeps::SMALL_RIG;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -412,4 +413,148 @@ fn a_file_that_can_not_be_written_stops_the_scan_with_the_laser_off_and_files_wh
     );
     assert!(images(&scan).len() >= at, "those before it stand");
     goes_on(&bench, &out);
+}
+
+/// A recording on the rig that is all simulated, and what the program says when it is given words.
+struct Small {
+    folder: tempfile::TempDir,
+}
+
+impl Small {
+    fn capture(&self, rig: &str, words: &[&str]) -> (Option<i32>, String) {
+        wait(self.start(rig, words), LIMIT)
+    }
+
+    fn start(&self, rig: &str, words: &[&str]) -> Child {
+        let path = |name: &str| self.folder.path().join(name).to_str().unwrap().to_owned();
+        let (config, session) = (path("rig.toml"), path("session"));
+        std::fs::write(&config, rig).unwrap();
+        let before = ["capture", "--config", &config, words[0], "--out", &session];
+        start(&[&before, &words[1..]].concat())
+    }
+
+    fn manifest(&self) -> serde_json::Value {
+        let text = std::fs::read(self.folder.path().join("session/session.json")).unwrap();
+        serde_json::from_slice(&text).unwrap()
+    }
+}
+
+/// Poses of one rig and poses of another give one calibration that is right for neither.
+#[test]
+fn another_rig_does_not_go_on_with_a_recording() {
+    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let small = Small {
+        folder: tempfile::tempdir().unwrap(),
+    };
+    let rig = |from: &str, to: &str| {
+        assert!(SMALL_RIG.contains(from));
+        SMALL_RIG.replace(from, to)
+    };
+    let camera = |rig: &str, more: &[&str]| {
+        small.capture(rig, &[&["camera", "--poses", "2"], more].concat())
+    };
+    let light = |rig: &str| small.capture(rig, &["light", "--poses", "2"]);
+    assert_eq!(camera(SMALL_RIG, &[]).0, Some(0));
+    let before = small.manifest();
+    let exposure = rig("[light]", "[camera]\nexposure_board_ms = 4.0\n[light]");
+    let gain = rig("[light]", "[camera]\ngain_db = 3.0\n[light]");
+    let seed = rig("seed = 6", "seed = 7");
+    for (rig, key) in [
+        (&exposure, "camera.exposure_board_ms = 10.0, now it is 4.0"),
+        (&gain, "camera.gain_db = 0.0, now it is 3.0"),
+        (&seed, "simulation.seed = 6, now it is 7"),
+    ] {
+        let (status, said) = small.capture(rig, &["camera", "--poses", "3"]);
+        assert_eq!(status, Some(1), "{said}");
+        assert!(said.contains(key) && said.contains("--force"), "{said}");
+        assert_eq!(small.manifest(), before);
+    }
+    // The light planes may be looked at with another exposure, but not in another scene.
+    let (status, said) = light(&seed);
+    assert_eq!(status, Some(1), "{said}");
+    let named = "\"camera\" was recorded with simulation.seed = 6";
+    assert!(said.contains(named) && !said.contains("--force"), "{said}");
+    let (status, said) = light(&exposure);
+    assert_eq!(status, Some(0), "{said}");
+    let (status, said) = light(&rig("spacing_mm = 10.0", "spacing_mm = 9.0"));
+    assert_eq!(status, Some(1), "{said}");
+    assert!(
+        said.contains("light.spacing_mm = 10.0, now it is 9.0"),
+        "{said}"
+    );
+    // Recorded anew, the camera's part may have its exposure.
+    let (status, said) = camera(&exposure, &["--force"]);
+    assert_eq!(status, Some(0), "{said}");
+    // A recording of before settings were recorded goes on.
+    let mut old = small.manifest();
+    old["recorded"].as_object_mut().unwrap().remove("settings");
+    let file = small.folder.path().join("session/session.json");
+    std::fs::write(&file, old.to_string()).unwrap();
+    let (status, said) = small.capture(&gain, &["camera", "--poses", "3"]);
+    assert_eq!(status, Some(0), "{said}");
+    assert_eq!(small.manifest()["camera"].as_array().unwrap().len(), 3);
+}
+
+/// The second of two that record into one folder is refused; one that was killed holds nothing.
+#[test]
+fn one_process_at_a_time_records_into_a_folder() {
+    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let small = Small {
+        folder: tempfile::tempdir().unwrap(),
+    };
+    let slow = ["camera", "--poses", "9", "--every", "30"];
+    let mut first = small.start(SMALL_RIG, &slow);
+    let began = Instant::now();
+    // It holds the folder before it does anything else.
+    while !small.folder.path().join("session/.lock").exists() {
+        assert!(began.elapsed() < LIMIT && first.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    std::thread::sleep(Duration::from_millis(200));
+    for words in [
+        &["camera", "--poses", "1"][..],
+        &["light", "--poses", "1"],
+        &["scan"],
+    ] {
+        let (status, said) = small.capture(SMALL_RIG, words);
+        assert_eq!(status, Some(1), "{words:?}: {said}");
+        assert!(said.contains("another cannula process"), "{said}");
+    }
+    signal(&first, "KILL");
+    let _ = first.wait();
+    let (status, said) = small.capture(SMALL_RIG, &["camera", "--poses", "1"]);
+    assert_eq!(status, Some(0), "{said}");
+}
+
+#[test]
+fn words_without_effect_are_refused_and_a_given_entry_is_kept() {
+    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let small = Small {
+        folder: tempfile::tempdir().unwrap(),
+    };
+    for words in [
+        &["scan", "--radius", "9"][..],
+        &["camera", "--poses", "1", "--every", "nan"],
+        &["camera", "--poses", "1", "--every", "-1"],
+        &["light", "--every", "1"],
+    ] {
+        let (status, said) = small.capture(SMALL_RIG, words);
+        assert_eq!(status, Some(2), "{words:?}: {said}");
+    }
+    let entry = [
+        "--entry",
+        "160.5,120",
+        "--vein",
+        "158,130",
+        "163,105",
+        "--radius",
+        "9",
+    ];
+    let (status, said) = small.capture(SMALL_RIG, &[&["scan"], &entry[..]].concat());
+    assert_eq!(status, Some(0), "{said}");
+    let given = small.manifest()["entry"].clone();
+    assert_eq!(given["radius_mm"], 9.0);
+    let (status, said) = small.capture(SMALL_RIG, &["scan", "--force"]);
+    assert_eq!(status, Some(0), "{said}");
+    assert_eq!(small.manifest()["entry"], given);
 }

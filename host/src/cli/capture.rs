@@ -12,7 +12,9 @@ use crate::rig::acquisition::{AcquireError, Acquisition};
 use crate::rig::capture::{self, LightOutcome, PoseOutcome, Step};
 use crate::rig::guide::Guide;
 use crate::rig::light_guide::LightGuide;
+use crate::rig::lock::Lock;
 use crate::rig::open::{self, Opened};
+use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
 use crate::rig::simulated::Stage;
 use crate::session::{Entry, Manifest, Session, check};
@@ -59,8 +61,8 @@ struct EntryArgs {
     /// Two or more pixels along the vein, in the direction of the needle.
     #[arg(long, value_name = "U,V", value_parser = pixel, num_args = 2.., requires = "entry")]
     vein: Vec<[f64; 2]>,
-    /// Radius of the region to which the plane is fitted.
-    #[arg(long, value_name = "MM", default_value_t = 12.0)]
+    /// Radius of the region to which the plane is fitted; with --entry.
+    #[arg(long, value_name = "MM", default_value_t = 12.0, requires = "entry")]
     radius: f64,
 }
 
@@ -69,6 +71,13 @@ fn pixel(text: &str) -> Result<[f64; 2], String> {
     match numbers.as_deref() {
         Some([u, v]) if u.is_finite() && v.is_finite() => Ok([*u, *v]),
         _ => Err("give two numbers with a comma between: U,V in pixels".to_owned()),
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(s) if (0.0..=3600.0).contains(&s) => Ok(s),
+        _ => Err("give seconds, 0 to 3600".to_owned()),
     }
 }
 
@@ -110,7 +119,7 @@ struct PosesArgs {
     #[arg(long, value_name = "N")]
     poses: Option<usize>,
     /// With --poses: wait so long before each.
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = seconds, requires = "poses")]
     every: f64,
 }
 
@@ -118,15 +127,18 @@ struct PosesArgs {
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let rig = args.rig.load()?;
     let cancel = interrupted()?;
+    let (part, common) = match &args.what {
+        What::Camera(p) => (Part::Camera, &p.common),
+        What::Light(p) => (Part::Light, &p.common),
+        What::Scan(s) => (Part::Scan, &s.common),
+    };
+    // Before the rig is touched, which another process may be driving.
+    let _lock = Lock::take(&common.out)?;
     let mut opened = open::open(&rig)?;
     opened.board.heed(cancel);
     out.say(&format!("camera: {}", opened.camera.description()));
     let size = opened.camera.size();
     let geometry = rig.geometry();
-    let common = match &args.what {
-        What::Camera(p) | What::Light(p) => &p.common,
-        What::Scan(s) => &s.common,
-    };
     let mut recording = Recording::open(&common.out, size, &geometry)?;
     // Before anything moves.
     let entry = match &args.what {
@@ -136,6 +148,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         }
         What::Camera(_) | What::Light(_) => None,
     };
+    recording.bind(part, &rig, common.force)?;
     say_homed(open::ready(&opened.board, &rig)?, &rig, out);
     mark::lift(recording.folder())?;
     let Opened {
@@ -267,11 +280,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             })
         }
         What::Scan(s) => {
+            let mut entry = entry.or(recording.manifest.entry.take());
             if let Some(stage) = &stage {
                 stage.show(&Subject::Hand);
-                recording.manifest.entry = Truth::new(stage.renderer().scene()).map(|t| t.entry);
+                entry = entry.or_else(|| Truth::new(stage.renderer().scene()).map(|t| t.entry));
             }
-            recording.manifest.entry = entry.or(recording.manifest.entry.take());
+            recording.manifest.entry = entry;
             out.start("scan", rig.scan.count as usize);
             let scanned = capture::scan(
                 &mut acquisition,
@@ -403,7 +417,7 @@ impl<'a> Operator<'a> {
     fn new(args: &PosesArgs, cancel: &'a AtomicBool, out: &'a Output) -> Self {
         Self {
             poses: args.poses,
-            every: Duration::try_from_secs_f64(args.every.clamp(0.0, 3600.0)).unwrap_or_default(),
+            every: Duration::from_secs_f64(args.every),
             missed: 0,
             in_a_row: 0,
             cancel,

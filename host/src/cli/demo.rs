@@ -17,6 +17,7 @@ use crate::rig::config::Rig;
 use crate::rig::guide::Guide;
 use crate::rig::light_guide::LightGuide;
 use crate::rig::open::{self, SIMULATED};
+use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
 use crate::session::Session;
 use crate::simulation::compare::{self, Measured, errors, table};
@@ -193,6 +194,9 @@ fn record(
     let size = opened.camera.size();
     let geometry = rig.geometry();
     let mut recording = Recording::open(folder, size, &geometry)?;
+    for part in Part::ALL {
+        recording.bind(part, rig, false)?;
+    }
     mark::begin(folder)?;
     let mut guide = Guide::new(size.0, size.1);
     let mut recorded = Recorded::default();

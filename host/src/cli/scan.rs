@@ -10,7 +10,9 @@ use crate::pipeline::belong_together;
 use crate::progress::Progress;
 use crate::rig::acquisition::Acquisition;
 use crate::rig::capture::{self, Step};
+use crate::rig::lock::Lock;
 use crate::rig::open::{self, Opened};
+use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
 use crate::session::{Entry, Session};
 use crate::simulation::{Subject, Truth, mark};
@@ -51,6 +53,9 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     })?;
     let mut entry = args.entry.as_deref().map(read_entry).transpose()?;
     let cancel = interrupted()?;
+    // Before the rig is touched, which another process may be driving.
+    let folder = args.out.join("session");
+    let _lock = Lock::take(&folder)?;
     let mut opened = open::open(&rig)?;
     opened.board.heed(cancel);
     let Opened {
@@ -87,9 +92,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         &calibration.positions(),
         &rig.scan.positions(),
     )?;
-    let mut recording = Recording::open(&args.out.join("session"), size, &rig.geometry())?;
+    let mut recording = Recording::open(&folder, size, &rig.geometry())?;
     recording.manifest.entry = Some(entry.clone());
     recording.scan_folder(args.force)?;
+    recording.bind(Part::Scan, &rig, args.force)?;
     say_homed(open::ready(board, &rig)?, &rig, out);
     mark::lift(recording.folder())?;
     let file = recording.folder().join("session.json");

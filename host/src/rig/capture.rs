@@ -6,7 +6,7 @@ use super::camera::Picture;
 use super::folder;
 use super::guide::{Guide, Seen};
 use super::light_guide::LightGuide;
-use super::progress;
+use super::progress::{self, Part};
 use super::recording::{Recording, RecordingError};
 use crate::board::{self, BoardGeometry, Detection, NotFound};
 use crate::image::{Image, Pixel};
@@ -209,7 +209,8 @@ pub fn scan(
     force: bool,
     live: &mut Live,
 ) -> Result<Scanned, CaptureError> {
-    let (folder, mut progress) = recording.begin_scan(force, progress::settings(rig))?;
+    let (folder, mut progress) =
+        recording.begin_scan(force, progress::settings(rig, Part::Scan))?;
     let mut frames: Vec<Frame> = progress.frames().iter().map(|(_, f)| f.clone()).collect();
     let stood = frames.len();
     acquisition.expose(rig.camera.exposure_laser_ms)?;
@@ -221,7 +222,7 @@ pub fn scan(
     let ambient_picture = acquisition.still(0, false)?.picture;
     if stood > 0 {
         let path = recording.path(&ambient);
-        let then = folder::read(&path).map_err(AcquireError::from)?;
+        let then = folder::read(&path).map_err(|e| RecordingError::NoScene(e.to_string()))?;
         let percent = 100.0 * changed(&then, &ambient_picture);
         if percent > CHANGED_PERCENT {
             return Err(RecordingError::Changed { path, percent }.into());

@@ -16,6 +16,7 @@ pub mod genicam;
 pub mod guide;
 pub mod light_guide;
 pub mod link;
+pub mod lock;
 pub mod matching;
 pub mod open;
 pub mod progress;

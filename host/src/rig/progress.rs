@@ -1,8 +1,8 @@
 //! A sweep under way: what stands of it on disk, so that one that was broken off goes on where it was.
 //!
 //! [`FILE`] lies beside the images until the sweep is complete: a line with the settings, then a line
-//! a shot, written before its image. A shot stands if its image does, which appears whole or not
-//! at all.
+//! a shot, written before its image. A shot stands if its image does and can be read; it
+//! appears whole or not at all.
 
 use super::config::{CameraKind, Rig};
 use super::recording::RecordingError;
@@ -37,28 +37,87 @@ pub struct Progress {
     file: Option<File>,
 }
 
-/// What the images of a scan depend on.
-pub fn settings(rig: &Rig) -> Settings {
-    let (b, c, s) = (&rig.board, &rig.camera, &rig.scan);
+/// A part of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Board poses for the camera.
+    Camera,
+    /// Board poses for the light planes.
+    Light,
+    /// The scan of the hand.
+    Scan,
+}
+
+impl Part {
+    /// All of them, in the order of recording.
+    pub const ALL: [Self; 3] = [Self::Camera, Self::Light, Self::Scan];
+
+    /// Its name in session.json.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::Light => "light",
+            Self::Scan => "scan",
+        }
+    }
+}
+
+/// What the images of a part depend on.
+pub fn settings(rig: &Rig, part: Part) -> Settings {
+    let (b, c) = (&rig.board, &rig.camera);
     let mut all = vec![
-        ("board.steps_per_mm", json!(b.steps_per_mm)),
-        ("board.invert_direction", json!(b.invert_direction)),
-        ("board.clearance_mm", json!(b.clearance_mm)),
         ("camera.kind", json!(c.kind)),
         ("camera.device", json!(c.device)),
         ("camera.pixel_format", json!(c.pixel_format)),
         ("camera.region", json!(c.region)),
-        ("camera.exposure_laser_ms", json!(c.exposure_laser_ms)),
         ("camera.gain_db", json!(c.gain_db)),
-        ("scan.start_mm", json!(s.start_mm)),
-        ("scan.spacing_mm", json!(s.spacing_mm)),
-        ("scan.count", json!(s.count)),
     ];
+    if part == Part::Camera {
+        all.push(("camera.exposure_board_ms", json!(c.exposure_board_ms)));
+    } else {
+        all.extend([
+            ("board.steps_per_mm", json!(b.steps_per_mm)),
+            ("board.invert_direction", json!(b.invert_direction)),
+            ("board.clearance_mm", json!(b.clearance_mm)),
+            ("camera.exposure_laser_ms", json!(c.exposure_laser_ms)),
+        ]);
+    }
+    let (light, scan) = (&rig.light, &rig.scan);
+    match part {
+        Part::Camera => {}
+        Part::Light => all.extend([
+            ("light.start_mm", json!(light.start_mm)),
+            ("light.spacing_mm", json!(light.spacing_mm)),
+            ("light.count", json!(light.count)),
+        ]),
+        Part::Scan => all.extend([
+            ("scan.start_mm", json!(scan.start_mm)),
+            ("scan.spacing_mm", json!(scan.spacing_mm)),
+            ("scan.count", json!(scan.count)),
+        ]),
+    }
     if c.kind == CameraKind::Simulated {
         all.push(("simulation.seed", json!(rig.simulation.seed)));
         all.push(("simulation.profile", json!(rig.simulation.profile)));
     }
     all.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
+}
+
+/// What must be the same in all parts of a recording, for one calibration to hold for them: which
+/// camera and which of its pixels, and what a step of the slide is. (Exposure and gain may differ.)
+pub fn binds_all(key: &str) -> bool {
+    key.starts_with("board.")
+        || key.starts_with("simulation.")
+        || ["camera.kind", "camera.device", "camera.region"].contains(&key)
+}
+
+/// The first setting that is not what it was: key, what it was, what it is.
+pub fn differs(then: &Settings, now: &Settings) -> Option<(String, String, String)> {
+    let (key, here) = now.iter().find(|(k, v)| then.get(*k) != Some(v))?;
+    let there = then
+        .get(key)
+        .map_or_else(|| "not known".into(), Value::to_string);
+    Some((key.clone(), there, here.to_string()))
 }
 
 impl Progress {
@@ -88,7 +147,8 @@ impl Progress {
                 Line::Settings(settings) => found.settings = settings,
                 Line::Shot { index, frame } => {
                     let known = found.frames.iter().any(|(i, _)| *i == index);
-                    if !known && images.join(&frame.image).is_file() {
+                    // An image that can't be read (a power cut, another program) is none.
+                    if !known && super::folder::read(&images.join(&frame.image)).is_ok() {
                         found.frames.push((index, frame));
                     }
                 }
@@ -119,16 +179,13 @@ impl Progress {
     pub fn go_on(mut self, now: Settings) -> Result<Self, RecordingError> {
         // Killed before anything was recorded: nothing is bound.
         if !self.frames.is_empty()
-            && let Some((key, here)) = now.iter().find(|(k, v)| self.settings.get(*k) != Some(v))
+            && let Some((key, there, here)) = differs(&self.settings, &now)
         {
             return Err(RecordingError::Settings {
                 path: self.folder.join(FILE),
-                key: key.clone(),
-                there: self
-                    .settings
-                    .get(key)
-                    .map_or_else(|| "not known".into(), Value::to_string),
-                here: here.to_string(),
+                key,
+                there,
+                here,
             });
         }
         self.settings = now;

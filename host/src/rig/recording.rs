@@ -4,7 +4,8 @@
 //! not there before, and the file after them. Nothing is overwritten.
 
 use super::camera::Picture;
-use super::progress::{Progress, Settings};
+use super::config::Rig;
+use super::progress::{self, Part, Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
 use crate::session::{self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError};
@@ -37,7 +38,21 @@ pub enum RecordingError {
         /// Which part.
         part: &'static str,
     },
-    /// A sweep that was broken off was begun with other settings.
+    /// Another part of the recording is of another camera, scene or slide.
+    #[error("{path}: its part \"{part}\" was recorded with {key} = {there}, now it is {here}; set it back to go on, or give another folder", path = path.display())]
+    OtherPart {
+        /// session.json.
+        path: PathBuf,
+        /// The part.
+        part: &'static str,
+        /// The key of the rig's configuration.
+        key: String,
+        /// What it was.
+        there: String,
+        /// What it is.
+        here: String,
+    },
+    /// A part, or a sweep that was broken off, was begun with other settings.
     #[error("{path}: this was begun with {key} = {there}, now it is {here}; set it back to go on, or --force to record it anew", path = path.display())]
     Settings {
         /// Where it stands.
@@ -57,6 +72,11 @@ pub enum RecordingError {
         /// How much of the image differs.
         percent: f64,
     },
+    /// The image without laser of a scan that was broken off can't be read.
+    #[error(
+        "{0}; without it nobody knows whether the scene is still the same: --force to record the scan anew"
+    )]
+    NoScene(String),
     /// The background writer could not be started.
     #[error("the writer could not be started: {0}")]
     Thread(std::io::Error),
@@ -128,6 +148,62 @@ impl Recording {
             folder: folder.to_owned(),
             manifest,
         })
+    }
+
+    /// Binds a part to the settings that it is recorded with: those that stand must be the same, of
+    /// this part all (unless it is recorded anew with `force`), of the others what makes one rig.
+    /// A part whose settings are not known (an older recording) binds nothing.
+    ///
+    /// # Errors
+    /// Another setting, named.
+    pub fn bind(&mut self, part: Part, rig: &Rig, force: bool) -> Result<(), RecordingError> {
+        let path = || self.folder.join("session.json");
+        let now = progress::settings(rig, part);
+        for other in Part::ALL.into_iter().filter(|p| self.holds(*p)) {
+            let Some(then) = self.manifest.recorded.settings.get(other.name()) else {
+                continue;
+            };
+            if other == part && !force {
+                if let Some((key, there, here)) = progress::differs(then, &now) {
+                    let path = path();
+                    return Err(RecordingError::Settings {
+                        path,
+                        key,
+                        there,
+                        here,
+                    });
+                }
+            } else if other != part {
+                let mut shared = now.clone();
+                shared.retain(|key, _| progress::binds_all(key) && then.contains_key(key));
+                if let Some((key, there, here)) = progress::differs(then, &shared) {
+                    return Err(RecordingError::OtherPart {
+                        path: path(),
+                        part: other.name(),
+                        key,
+                        there,
+                        here,
+                    });
+                }
+            }
+        }
+        // Images of which nobody knows are not said to be of these settings.
+        let unknown = self.holds(part)
+            && !force
+            && !self.manifest.recorded.settings.contains_key(part.name());
+        if !unknown {
+            let known = &mut self.manifest.recorded.settings;
+            known.insert(part.name().to_owned(), now);
+        }
+        Ok(())
+    }
+
+    fn holds(&self, part: Part) -> bool {
+        match part {
+            Part::Camera => !self.manifest.camera.is_empty(),
+            Part::Light => !self.manifest.light.is_empty(),
+            Part::Scan => self.manifest.scan.is_some(),
+        }
     }
 
     /// The folder.

@@ -2,6 +2,7 @@
 //! the same types; keys that are not known are ignored.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The value of `format`.
 pub const FORMAT: &str = "cannula-session/1";
@@ -39,7 +40,7 @@ pub struct Manifest {
     pub recorded: Recorded,
 }
 
-/// When a session's parts were recorded, ISO 8601 in UTC.
+/// When a session's parts were recorded, ISO 8601 in UTC, and with which settings.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Recorded {
     /// The latest board pose, with or without laser.
@@ -48,6 +49,9 @@ pub struct Recorded {
     /// The scan of the hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scan: Option<String>,
+    /// What each part's images depend on: keys of the rig's configuration with their values.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub settings: BTreeMap<String, BTreeMap<String, serde_json::Value>>,
 }
 
 impl Recorded {

@@ -3,6 +3,7 @@
 //! [`FILE`] marks a recording as a simulation's. It is written before anything else, and goes away as
 //! soon as something else is recorded into that folder.
 
+use crate::rig::lock;
 use crate::rig::progress::is_of_sweep;
 use crate::session::sha256_of;
 use serde::{Deserialize, Serialize};
@@ -178,7 +179,7 @@ fn check(folder: &Path, session: &Path) -> Result<(), MarkError> {
 }
 
 fn is_notes(inner: &Path) -> bool {
-    ["session.json", "truth.json", FILE]
+    ["session.json", "truth.json", FILE, lock::FILE]
         .iter()
         .any(|name| inner == Path::new(name))
 }
