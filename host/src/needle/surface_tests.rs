@@ -271,7 +271,12 @@ fn a_vein_that_does_not_belong_to_the_entry_is_said() {
     assert!(!says(good.clone(), "beside the entry") && !says(good.clone(), "the vein bends"));
     let beside = good.iter().map(|p| p + Vector2::new(25.0, 0.0)).collect();
     assert!(says(beside, "beside the entry"));
-    let zigzag = |k: usize| Vector2::new(if k % 2 == 0 { -25.0 } else { 25.0 }, 20.0 * k as f64);
+    let zigzag = |k: usize| {
+        Vector2::new(
+            if k.is_multiple_of(2) { -25.0 } else { 25.0 },
+            20.0 * k as f64,
+        )
+    };
     let bent = (0..4).map(|k| request.pixel + zigzag(k) - Vector2::new(0.0, 30.0));
     assert!(says(bent.collect(), "the vein bends"));
     let short = vec![request.pixel, request.pixel + Vector2::new(1.0, 0.0)];
