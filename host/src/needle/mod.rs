@@ -527,6 +527,16 @@ pub fn decide_noting(
         uncertainty,
         checks: Vec::new(),
     };
+    let given = request.vein.len();
+    let met = decision.vein.len();
+    let all = Limit::AtLeast(given as f64);
+    let all = Check::held("vein: pixels that meet the surface", met as f64, all, "");
+    checks.push(all.or(|| {
+        (
+            format!("only {met} of the vein’s {given} pixels meet the measured surface: its direction is theirs"),
+            "give pixels on the scanned surface, or scan farther".to_owned(),
+        )
+    }));
     checks.extend(decision.weigh(request.radius_mm, limits));
     Ok(decision)
 }

@@ -279,6 +279,9 @@ fn a_vein_that_does_not_belong_to_the_entry_is_said() {
     };
     let bent = (0..4).map(|k| request.pixel + zigzag(k) - Vector2::new(0.0, 30.0));
     assert!(says(bent.collect(), "the vein bends"));
+    let mut lost = good.clone();
+    lost.push(request.pixel + Vector2::new(400.0, 0.0));
+    assert!(says(lost, "pixels meet the measured surface") && !says(good.clone(), "pixels meet"));
     let short = vec![request.pixel, request.pixel + Vector2::new(1.0, 0.0)];
     assert!(matches!(with(short), Err(NeedleError::ShortVein { .. })));
 }
