@@ -24,6 +24,7 @@ pub mod cloud;
 pub mod doctor;
 pub mod geometry;
 pub mod image;
+mod median;
 pub mod needle;
 pub mod output;
 pub mod pipeline;

@@ -341,6 +341,19 @@ fn bytes(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     all
 }
 
+/// A scan that ends after its sixth shot.
+fn break_off(opened: &mut Opened, rig: &Rig, recording: &mut Recording) {
+    let cancel = AtomicBool::new(false);
+    let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), rig, &cancel);
+    let begun = capture::scan(&mut acquisition, rig, recording, false, &mut |step| {
+        if matches!(step, Step::Shot(s) if s.index == 5) {
+            cancel.store(true, Ordering::Relaxed);
+        }
+        Ok(())
+    });
+    assert!(begun.is_err());
+}
+
 /// A scan that was broken off does not go on with anything that its images depend on changed, nor
 /// before another scene; and what stands is left as it is.
 #[test]
@@ -349,16 +362,9 @@ fn another_rig_or_scene_does_not_go_on_with_a_scan() {
     let (mut opened, stage) = opened(&rig);
     let dir = tempfile::tempdir().unwrap();
     let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    break_off(&mut opened, &rig, &mut recording);
     let cancel = AtomicBool::new(false);
     let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
-    let begun = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
-        if matches!(step, Step::Shot(s) if s.index == 5) {
-            cancel.store(true, Ordering::Relaxed);
-        }
-        Ok(())
-    });
-    assert!(begun.is_err());
-    cancel.store(false, Ordering::Relaxed);
     let before = bytes(dir.path());
     assert!(before.len() >= 6, "{:?}", before.keys());
 
@@ -454,16 +460,9 @@ fn images_that_cannot_be_read_are_taken_again() {
     let (mut opened, _) = opened(&rig);
     let dir = tempfile::tempdir().unwrap();
     let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    break_off(&mut opened, &rig, &mut recording);
     let cancel = AtomicBool::new(false);
     let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
-    let begun = capture::scan(&mut acquisition, &rig, &mut recording, false, &mut |step| {
-        if matches!(step, Step::Shot(s) if s.index == 5) {
-            cancel.store(true, Ordering::Relaxed);
-        }
-        Ok(())
-    });
-    assert!(begun.is_err());
-    cancel.store(false, Ordering::Relaxed);
     let before = bytes(&dir.path().join("scan"));
     let image = |k: usize| dir.path().join(format!("scan/{k:03}.png"));
     let whole = before[&image(1)].clone();

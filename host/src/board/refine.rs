@@ -12,6 +12,7 @@ use super::site::{BAND, Prior, Site, position_covariance};
 use super::{BoardGeometry, Corner, Detection, NotFound, Quality};
 use crate::geometry::{Homography, Matrix2, Vector2};
 use crate::image::{Image, Pixel};
+use crate::median::median;
 
 /// More blur than this part of a square's side, and neighbouring edges run into each other.
 pub(super) const MOST_BLUR: f64 = 0.18;
@@ -36,14 +37,6 @@ pub(super) fn limits() -> Vec<(&'static str, String)> {
         ),
         ("board: least σ of a corner", format!("{FLOOR} px")),
     ]
-}
-
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// Refines all corners of a layout found at a level of 2ᵏ = `coarseness` pixels a pixel.

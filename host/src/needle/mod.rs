@@ -13,6 +13,7 @@ pub mod plane;
 mod scene;
 pub mod surface;
 pub mod uncertainty;
+mod weigh;
 
 pub use axis::{NeedleAxis, Path, angle};
 pub use error::NeedleError;
@@ -188,89 +189,6 @@ impl Decision {
     /// is no plane. `None` where half the radius has no plane.
     pub fn radius_change(&self) -> Option<f64> {
         Some(self.turned?.1 - self.needle.angle)
-    }
-
-    /// What makes the angle mean less than its figure says.
-    fn weigh(&self, radius_mm: f64, limits: &Limits) -> Vec<Check> {
-        let curved = Check::held(
-            "region: RMS distance from its plane",
-            self.rms_mm,
-            Limit::AtMost(limits.curved * radius_mm),
-            "mm",
-        )
-        .or(|| {
-            (
-                format!(
-                    "the region is curved like a cylinder of {:.0} mm radius ({:.2} mm RMS off its plane, flat enough up to {:.2} mm): an entry 1 mm off meets the skin at up to {:.1}° another angle",
-                    self.bend_mm,
-                    self.rms_mm,
-                    limits.curved * radius_mm,
-                    (1.0 / self.bend_mm).to_degrees(),
-                ),
-                "choose a flatter entry or a smaller radius_mm".to_owned(),
-            )
-        });
-        let what = "needle angle: largest change with a smaller radius";
-        let turned = match self.turned {
-            Some((inner_mm, inner)) => {
-                let change = inner - self.needle.angle;
-                let limit = Limit::AtMost(limits.turn.to_degrees());
-                Check::held(what, change.abs().to_degrees(), limit, "°").or(|| {
-                    (
-                        format!(
-                            "the angle hangs on the region’s radius: the same needle stands at {:.1}° to the plane within {inner_mm:.0} mm, at {:.1}° to this one",
-                            inner.to_degrees(),
-                            self.needle.angle.to_degrees(),
-                        ),
-                        "choose another entry, or give the radius that the needle’s contact asks for".to_owned(),
-                    )
-                })
-            }
-            None => Check::is(what, false).or(|| {
-                (
-                    "half the region’s radius holds no plane, so that it is not known how far the angle hangs on the radius".to_owned(),
-                    "give a larger radius_mm, or scan with closer stripes".to_owned(),
-                )
-            }),
-        };
-        let whole = Check::held(
-            "region: part covered by measured surface, called cut off",
-            100.0 * self.coverage,
-            Limit::AtLeast(100.0 * limits.whole),
-            "%",
-        )
-        .or(|| {
-            (
-                format!(
-                    "{:.0} % of the region was not measured: how the surface goes on there is guessed from its bend",
-                    100.0 * (1.0 - self.coverage)
-                ),
-                "choose an entry farther from the hand’s edge or a smaller radius_mm, or scan farther".to_owned(),
-            )
-        });
-        let mut all = vec![curved, turned, whole];
-        if let Some(line) = axis::line(&self.vein) {
-            let most = Limit::AtMost(limits.beside_mm);
-            let beside = axis::beside(&self.vein, &line, &self.entry);
-            let what = "vein: distance of its line from the entry";
-            let through = Check::held(what, beside, most, "mm").or(|| {
-                (
-                    format!("the vein’s line passes {beside:.1} mm beside the entry"),
-                    "check entry.pixel and entry.vein".to_owned(),
-                )
-            });
-            let off = self.vein.iter().map(|p| axis::beside(&self.vein, &line, p));
-            let off = off.fold(0.0, f64::max);
-            let what = "vein: largest distance of its points from their line";
-            let straight = Check::held(what, off, most, "mm").or(|| {
-                (
-                    format!("the vein bends: its points lie up to {off:.1} mm off their line"),
-                    "give its course near the entry only".to_owned(),
-                )
-            });
-            all.extend([through, straight]);
-        }
-        all
     }
 }
 
@@ -497,18 +415,20 @@ pub fn decide_noting(
         let sine = PlaneFit::new(&inner.cells)?.plane.normal.dot(&needle.axis);
         Some(sine.abs().min(1.0).asin())
     };
-    let inner_angle = within(0.5 * request.radius_mm);
-    let turned = inner_angle.and_then(|half| {
-        let parts = SMALLER.map(|part| part * request.radius_mm);
-        let smaller = parts.into_iter().chain([LEAST_RADIUS_MM]);
-        smaller
-            .filter(|r| (LEAST_RADIUS_MM..request.radius_mm).contains(r))
-            .filter_map(|radius| Some((radius, within(radius)?)))
-            .chain([(0.5 * request.radius_mm, half)])
-            .max_by(|a, b| {
-                let change = |turned: &(f64, f64)| (turned.1 - needle.angle).abs();
-                change(a).total_cmp(&change(b))
-            })
+    let half = 0.5 * request.radius_mm;
+    let parts = SMALLER.map(|part| part * request.radius_mm);
+    let smaller = parts.into_iter().chain([LEAST_RADIUS_MM]);
+    let smaller =
+        smaller.filter(|r| *r == half || (LEAST_RADIUS_MM..request.radius_mm).contains(r));
+    let angles: Vec<(f64, f64)> = smaller
+        .filter_map(|radius| Some((radius, within(radius)?)))
+        .collect();
+    let inner_angle = angles.iter().find(|a| a.0 == half).map(|a| a.1);
+    let turned = inner_angle.and_then(|_| {
+        let change = |turned: &(f64, f64)| (turned.1 - needle.angle).abs();
+        angles
+            .into_iter()
+            .max_by(|a, b| change(a).total_cmp(&change(b)))
     });
     let decision = Decision {
         plane,
@@ -527,17 +447,7 @@ pub fn decide_noting(
         uncertainty,
         checks: Vec::new(),
     };
-    let given = request.vein.len();
-    let met = decision.vein.len();
-    let all = Limit::AtLeast(given as f64);
-    let all = Check::held("vein: pixels that meet the surface", met as f64, all, "");
-    checks.push(all.or(|| {
-        (
-            format!("only {met} of the vein’s {given} pixels meet the measured surface: its direction is theirs"),
-            "give pixels on the scanned surface, or scan farther".to_owned(),
-        )
-    }));
-    checks.extend(decision.weigh(request.radius_mm, limits));
+    checks.extend(weigh::weigh(&decision, request, limits));
     Ok(decision)
 }
 

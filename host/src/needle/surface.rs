@@ -12,6 +12,7 @@ use super::NeedleError;
 use super::plane::Cell;
 use crate::cloud::CloudPoint;
 use crate::geometry::{Point3, Vector2, Vector3};
+use crate::median::median;
 use nalgebra::{SMatrix, SVector};
 
 /// A right-handed frame on the region: `along` the stripes, `across` them, `normal` away from the
@@ -186,11 +187,8 @@ impl Surface {
             .collect();
         // The size of a grain is the optics': what all stripes say together is surer than what one says.
         let mut grains: Vec<f64> = points.iter().map(|p| p.correlation).collect();
-        if !grains.is_empty() {
-            let middle = grains.len() / 2;
-            let usual = *grains.select_nth_unstable_by(middle, f64::total_cmp).1;
-            points.iter_mut().for_each(|p| p.correlation = usual);
-        }
+        let usual = median(&mut grains);
+        points.iter_mut().for_each(|p| p.correlation = usual);
         points.sort_by(|a, b| a.frame.cmp(&b.frame).then(a.s.total_cmp(&b.s)));
         let count = 2 * half + 1;
         let mut columns: Vec<Vec<Node>> = vec![Vec::new(); count];
@@ -463,9 +461,7 @@ impl Surface {
         patch.coverage = if whole > 0.0 { covered / whole } else { 0.0 };
         patch
     }
-}
 
-impl Surface {
     /// The patch with its holes filled by the parabola (in s and t) through all that was measured:
     /// what the region would be if the surface bent on as it does. `None` where nothing is missing,
     /// or no parabola is determined.
@@ -498,8 +494,7 @@ fn stripe_nodes(stripe: &[Local], step: f64, half: usize, smooth: f64, columns: 
         return;
     }
     let mut gaps: Vec<f64> = stripe.windows(2).map(|p| p[1].s - p[0].s).collect();
-    let middle = gaps.len() / 2;
-    let spacing = *gaps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let spacing = median(&mut gaps);
     let widest = (3.0 * spacing).max(1.0);
     let one = |p: &Local, q: &Local| q.s - p.s <= widest && (q.h - p.h).abs() <= 2.0 * widest;
     for run in stripe.chunk_by(one) {
@@ -598,11 +593,7 @@ fn usual_spacing(columns: &mut [Vec<Node>]) -> f64 {
         column.dedup_by(|b, a| b.t - a.t < 1e-6);
         gaps.extend(column.windows(2).map(|p| p[1].t - p[0].t));
     }
-    if gaps.is_empty() {
-        return 0.0;
-    }
-    let middle = gaps.len() / 2;
-    *gaps.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut gaps)
 }
 
 /// Takes out nodes that stand off both neighbours' line by more than skin can.

@@ -3,6 +3,7 @@
 //! or the hand moved, and all that follows would be laid beside where it is.
 
 use crate::cloud::CloudPoint;
+use crate::median::median;
 use crate::needle::NeedleError;
 use crate::stripe::Axis;
 
@@ -62,11 +63,6 @@ fn travel(a: &Course, b: &Course, mm: f64) -> Option<f64> {
         }
     }
     (moved.len() >= LEAST_COLUMNS && mm != 0.0).then(|| median(&mut moved))
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// The pairs of frames that do not follow; `positions` of the slide are those of frames 0, 1, …, mm,

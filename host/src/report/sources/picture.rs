@@ -156,11 +156,7 @@ pub fn stripe_sample(
     let Some(frame) = scan.frames.get(frame.unwrap_or(scan.frames.len() / 2)) else {
         return Ok(None);
     };
-    let ambient = scan
-        .ambient
-        .as_ref()
-        .map(|name| read(session, name))
-        .transpose()?;
+    let ambient = ambient(session, &Times::default())?;
     let image = read(session, &frame.image)?;
     let centres = centres(&image, ambient.as_ref());
     Ok(whole(frame.slide_mm, &frame.image, &image, centres))
