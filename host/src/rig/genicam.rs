@@ -13,13 +13,22 @@ use aravis::{
     AcquisitionMode, Auto, Buffer, BufferStatus, GvStreamOption, GvStreamSocketBuffer, PixelFormat,
     Stream,
 };
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Buffers that the driver can fill before one is taken.
 const BUFFERS: usize = 32;
 /// How often a frame is asked for to prime a stream, and how long beyond its exposure each is awaited.
 const PRIME_TRIES: usize = 3;
 const PRIME_TIMEOUT: Duration = Duration::from_millis(300);
+/// No camera counts so far. Aravis writes a frame's number and time with its first packet; a buffer whose
+/// first packet was lost still shows those of its last use, so that they are marked before it is used.
+const UNKNOWN: u64 = u64::MAX;
+
+/// Gives the driver a buffer to fill.
+fn give(stream: &Stream, buffer: Buffer) {
+    buffer.set_frame_id(UNKNOWN);
+    stream.push_buffer(buffer);
+}
 
 /// A GenICam camera.
 pub struct GenicamCamera {
@@ -129,7 +138,7 @@ impl GenicamCamera {
         // What was under way when it stopped belongs to nobody.
         if let Some(stream) = &self.stream {
             while let Some(buffer) = stream.try_pop_buffer() {
-                stream.push_buffer(buffer);
+                give(stream, buffer);
             }
         }
         Ok(())
@@ -142,7 +151,7 @@ impl GenicamCamera {
         }
         let payload = self.camera.payload().map_err(failed)? as usize;
         for _ in 0..BUFFERS {
-            stream.push_buffer(Buffer::new_allocate(payload));
+            give(&stream, Buffer::new_allocate(payload));
         }
         Ok(stream)
     }
@@ -162,7 +171,7 @@ impl GenicamCamera {
             }
             if let Some(buffer) = stream.timeout_pop_buffer(patience.as_micros() as u64) {
                 let whole = matches!(buffer.status(), BufferStatus::Success);
-                stream.push_buffer(buffer);
+                give(stream, buffer);
                 if whole {
                     break;
                 }
@@ -171,8 +180,12 @@ impl GenicamCamera {
         c.stop_acquisition().map_err(failed)
     }
 
-    fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
+    /// `None` if nothing says which frame it is: it is lost, as one of which nothing came.
+    fn frame(&mut self, buffer: &Buffer) -> Result<Option<Frame>, CameraError> {
         let id = buffer.frame_id();
+        if id == UNKNOWN {
+            return Ok(None);
+        }
         // 16-bit counters wrap round to 1; frames that were lost between count too.
         self.sequence += match self.last_id {
             None => 1,
@@ -184,11 +197,11 @@ impl GenicamCamera {
             BufferStatus::Success => Some(self.picture(buffer)?),
             _ => None,
         };
-        Ok(Frame {
+        Ok(Some(Frame {
             sequence: self.sequence,
             time_us: (buffer.timestamp() / 1000) as i64,
             picture,
-        })
+        }))
     }
 
     fn picture(&self, buffer: &Buffer) -> Result<Picture, CameraError> {
@@ -286,23 +299,25 @@ impl Camera for GenicamCamera {
 
     fn wait(&mut self, timeout: Duration) -> Result<Option<Frame>, CameraError> {
         let stream = match &self.stream {
-            Some(stream) if self.armed => stream,
+            Some(stream) if self.armed => stream.clone(),
             _ => return Err(CameraError::Failed("it is not armed".into())),
         };
-        let micros = u64::try_from(timeout.as_micros()).unwrap_or(u64::MAX);
-        let buffer = if micros == 0 {
-            stream.try_pop_buffer()
-        } else {
-            stream.timeout_pop_buffer(micros)
-        };
-        let Some(buffer) = buffer else {
-            return Ok(None);
-        };
-        let frame = self.frame(&buffer);
-        if let Some(stream) = &self.stream {
-            stream.push_buffer(buffer);
+        let until = Instant::now() + timeout;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let buffer = match u64::try_from(left.as_micros()).unwrap_or(u64::MAX) {
+                0 => stream.try_pop_buffer(),
+                micros => stream.timeout_pop_buffer(micros),
+            };
+            let Some(buffer) = buffer else {
+                return Ok(None);
+            };
+            let frame = self.frame(&buffer);
+            give(&stream, buffer);
+            if let Some(frame) = frame? {
+                return Ok(Some(frame));
+            }
         }
-        frame.map(Some)
     }
 
     fn fire(&mut self) -> Result<(), CameraError> {
