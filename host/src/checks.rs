@@ -111,12 +111,24 @@ impl Check {
         }
     }
 
-    /// Refuses what is beyond a second, wider limit too.
+    /// Refuses what is beyond a second, wider limit too, which is the one to be told then.
     pub fn refused_beyond(mut self, limit: Limit) -> Self {
         if !self.value.is_some_and(|value| limit.holds(value)) {
             self.outcome = Outcome::Refused;
+            self.limit = Some(limit);
         }
         self
+    }
+
+    /// The sentence and the remedy, by what it is held against, if it is not sound.
+    pub fn or_beyond(self, words: impl FnOnce(f64) -> (String, String)) -> Self {
+        let limit = match self.limit {
+            Some(Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::Between([_, limit])) => {
+                limit
+            }
+            None => f64::NAN,
+        };
+        self.or(|| words(limit))
     }
 
     /// The sentence and the remedy, if it is not sound.

@@ -3,6 +3,7 @@
 
 use cannula::image::Image;
 use cannula::needle;
+use cannula::output::{CalibrationFile, all_checks};
 use cannula::pipeline::{Measurement, Method, PipelineError, Times, calibrate, measure};
 use cannula::progress::Silent;
 use cannula::session::{self, CameraView, Manifest, Session, SessionError};
@@ -295,6 +296,71 @@ fn lost_and_doubled_frames_are_named() {
         let names = format!("from frame {at} to frame {}", at + 1);
         assert!(said.contains(&names), "{names}: {said}");
     }
+}
+
+/// A slip by a fifth of a step from the middle on: all that follows lies beside where it is.
+#[test]
+fn a_slip_of_the_slide_is_named() {
+    let count = recording().scan.unwrap().frames.len();
+    for at in [count / 3, count / 2] {
+        for slip in [-0.4, 0.4] {
+            let mut bad = recording();
+            for frame in &mut bad.scan.as_mut().unwrap().frames[at..] {
+                frame.slide_mm += slip;
+                frame.slide_steps = None;
+            }
+            let said = refused(&bad, &["the slide slipped or the hand moved"]);
+            let names = format!("from frame {} to frame {at}", at - 1);
+            assert!(said.contains(&names), "{names}: {said}");
+        }
+    }
+    // Less than half of that is doubted. The recording itself is not.
+    let doubts = |m: &Measurement| -> Vec<String> {
+        let all = m
+            .checks
+            .iter()
+            .filter(|c| c.what.contains("against the two beside it"));
+        all.filter_map(|c| c.sentence()).collect()
+    };
+    let mut doubtful = recording();
+    for frame in &mut doubtful.scan.as_mut().unwrap().frames[count / 2..] {
+        frame.slide_mm -= 0.15;
+        frame.slide_steps = None;
+    }
+    let said = doubts(&process(&doubtful).unwrap());
+    let names = format!("from frame {} to frame {}", count / 2 - 1, count / 2);
+    assert!(
+        said.len() == 1 && said[0].contains(&names),
+        "{names}: {said:?}"
+    );
+    assert_eq!(doubts(&process(&recording()).unwrap()), [""; 0]);
+}
+
+/// The same slip in every pose of the calibration bends no pose against another; the positions no longer
+/// predict each other.
+#[test]
+fn a_slip_that_all_poses_share_is_doubted() {
+    let hold_out = |slip: f64| {
+        let mut m = recording();
+        for frame in m.light.iter_mut().flat_map(|l| &mut l.on) {
+            if frame.slide_mm > 29.0 {
+                frame.slide_mm += slip;
+                frame.slide_steps = None;
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let text = serde_json::to_vec(&m).unwrap();
+        std::fs::write(folder.path().join("session.json"), text).unwrap();
+        let session = Session::open(folder.path()).unwrap();
+        let made = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
+        let file = CalibrationFile::new(&made, &session);
+        let checks = all_checks(&file, None, jiff::Timestamp::now(), None);
+        let planes = checks
+            .iter()
+            .find(|c| c.what == "calibration: light planes as predicted");
+        planes.unwrap().sound()
+    };
+    assert!(hold_out(0.0) && !hold_out(0.3) && !hold_out(-0.3));
 }
 
 #[test]

@@ -86,6 +86,87 @@ fn a_refused_needle_leaves_cloud_and_report_and_no_earlier_needle() {
     }
 }
 
+/// A calibration that is no longer to be trusted gives no angle, whatever was measured with it.
+#[test]
+fn a_calibration_past_its_limits_gives_no_angle() {
+    let dir = tempfile::tempdir().unwrap();
+    let session = committed("tiny-1001").display().to_string();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    assert_eq!(
+        run(&["calibrate", &session, "--out", &path("good.json")]),
+        0
+    );
+    let text = std::fs::read(path("good.json")).unwrap();
+    let good: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let to = path("out");
+    let angle = |calibration: &str| {
+        run(&[
+            "angle",
+            &session,
+            "--calibration",
+            calibration,
+            "--out",
+            &to,
+        ])
+    };
+    assert_eq!(angle(&path("good.json")), 0);
+    let aged = |file: &mut serde_json::Value| {
+        file["provenance"]["recorded"] = "2020-02-02T12:00:00Z".into();
+    };
+    let loose = |file: &mut serde_json::Value| file["camera"]["rms_px"] = 1.5.into();
+    type Spoil<'a> = &'a dyn Fn(&mut serde_json::Value);
+    for (spoil, reason) in [
+        (&aged as Spoil, "(more than 365)"),
+        (&loose, "1.50 px (more than 1.0)"),
+    ] {
+        let mut bad = good.clone();
+        spoil(&mut bad);
+        std::fs::write(path("bad.json"), bad.to_string()).unwrap();
+        assert_eq!(angle(&path("bad.json")), 1);
+        let there = |name: &str| Path::new(&to).join(name).exists();
+        assert!(!there("result.json") && there("cloud.ply"), "{reason}");
+        let page = std::fs::read_to_string(format!("{to}/report.html")).unwrap();
+        let (head, view) = top(&page);
+        assert!(
+            view && head.contains("No angle") && head.contains("Not usable:"),
+            "{head}"
+        );
+        assert!(head.contains(reason), "{reason}: {head}");
+        // Once among the checks, with the limit that it is refused by.
+        let table = page.split("<h2>Checks</h2>").nth(1).unwrap();
+        let table = table.split("</table>").next().unwrap();
+        assert_eq!(table.matches(">refused</td>").count(), 1);
+    }
+    assert!(Path::new(&to).join("result-before.json").exists());
+}
+
+/// What this run does not write is another's, and does not stand beside what it writes.
+#[test]
+fn no_earlier_hand_stands_beside_a_run_s_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let to = out.display().to_string();
+    let there = |name: &str| out.join(name).exists();
+    let good = recording(&dir.path().join("good"), |_| ());
+    assert_eq!(run(&["process", &good, "--out", &to, "--csv", "--xyz"]), 0);
+    assert_eq!(run(&["process", &good, "--out", &to, "--xyz"]), 0);
+    assert!(there("cloud.xyz") && !there("cloud.csv") && there("cloud-before.csv"));
+    // A scan that can't be read, after a calibration that could.
+    let cut = dir.path().join("cut.png");
+    let bad = recording(&dir.path().join("bad"), |m| {
+        let frames = &mut m.scan.as_mut().unwrap().frames;
+        let whole = std::fs::read(&frames[5].image).unwrap();
+        std::fs::write(&cut, &whole[..whole.len() / 2]).unwrap();
+        frames[5].image = cut.display().to_string();
+    });
+    let was = std::fs::read(out.join("result.json")).unwrap();
+    assert_eq!(run(&["process", &bad, "--out", &to]), 1);
+    for name in ["result.json", "cloud.ply", "cloud.xyz", "report.html"] {
+        assert!(!there(name), "{name}");
+    }
+    assert_eq!(std::fs::read(out.join("result-before.json")).unwrap(), was);
+}
+
 #[test]
 fn a_refused_calibration_shows_what_there_is() {
     let dir = tempfile::tempdir().unwrap();

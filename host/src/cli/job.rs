@@ -3,19 +3,19 @@
 use super::Output;
 use super::puncture::SIMULATED_DEG;
 pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
-use crate::checks::{Check, of};
+use crate::checks::{Check, Outcome, of};
 use crate::needle;
 use crate::output::{
     AngleSource, CalibrationFile, OutputError, ResultFile, ScanProvenance, all_checks, write_json,
     write_whole,
 };
-use crate::pipeline::{Measurement, Method, PipelineError, Stage, Times, measure};
+use crate::pipeline::{Measurement, Method, PipelineError, Scanned, Stage, Times, measure};
 use crate::progress::Progress;
 use crate::report;
 use crate::rig::config::CameraKind;
 use crate::session::{Session, SessionError};
 use clap::ValueEnum;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// `--method`.
@@ -137,6 +137,16 @@ pub fn needs_scan(session: &Session) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A hand was measured, and what measured it is not to be trusted: no angle is given.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {}", file.display(), reasons.join("; "))]
+struct NotUsable {
+    /// The calibration, or the recording that it is of.
+    file: PathBuf,
+    reasons: Vec<String>,
+    scanned: Scanned,
+}
+
 /// A hand to be measured: what with, how, and where the results go.
 pub struct Job<'a> {
     /// The recording.
@@ -185,7 +195,7 @@ impl Job<'_> {
             self.out,
         )
         .map_err(|e| self.refused(e.into()))?;
-        self.weigh(&mut measured);
+        self.weigh(&mut measured).map_err(|e| self.refused(e))?;
         let result = self.write(&measured)?;
         self.report(&measured, truth(&measured))?;
         self.out.detail(&super::summary::times(times));
@@ -198,10 +208,13 @@ impl Job<'_> {
     }
 
     /// Adds to a measurement's checks those of the calibration that it was made with (its age, how
-    /// loose it is, what it said itself), of the region and of the angle, and says what is weak. What
-    /// this run has already said (a calibration made since it began) is not said again on the
-    /// terminal.
-    pub fn weigh(&self, m: &mut Measurement) {
+    /// loose it is, what it said itself), of the region and of the angle, and says what is weak, in the
+    /// scan too. What this run has already said (a calibration made since it began) is not said again
+    /// on the terminal.
+    ///
+    /// # Errors
+    /// What refuses the result, for [`Self::refused`].
+    pub fn weigh(&self, m: &mut Measurement) -> anyhow::Result<()> {
         let now = jiff::Timestamp::now();
         let made = self
             .calibration
@@ -214,6 +227,9 @@ impl Job<'_> {
                 now.duration_since(then).as_secs_f64() <= self.begun.elapsed().as_secs_f64() + 1.0
             });
         let scan = self.session.manifest.recorded.scan();
+        // Those of a refused hand; the report adds the calibration's own.
+        let needle: Vec<Check> = of("needle", m.decision.checks.iter().cloned()).collect();
+        let alone: Vec<Check> = m.checks.iter().chain(&needle).cloned().collect();
         let mut checks = all_checks(self.calibration, scan, now, Some(&m.decision.uncertainty));
         if self.provenance.rig.is_some() {
             let real = !self.simulated();
@@ -226,23 +242,43 @@ impl Job<'_> {
                 })],
             ));
         }
-        checks.extend(of("needle", m.decision.checks.iter().cloned()));
+        checks.extend(needle);
         let (settings, source) = self.args.settings();
         let given = self.args.needle_angle;
         let angle = given.unwrap_or(settings.angle.to_degrees());
         checks.extend(of("needle", angle_checks(source, angle)));
-        for check in &checks {
-            if let Some(words) = check.sentence()
-                && !(fresh && check.said)
-            {
-                self.out.warn(&words);
-            }
+        let all = m.checks.iter().chain(&checks);
+        self.say(all.filter(|c| !(fresh && c.said)));
+        let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
+        let reasons: Vec<String> = refused.filter_map(Check::sentence).collect();
+        if !reasons.is_empty() {
+            let given = self.provenance.calibration.as_ref();
+            return Err(anyhow::Error::new(NotUsable {
+                file: given.map_or_else(|| self.session.file().to_owned(), |c| c.file.clone()),
+                reasons,
+                scanned: Scanned {
+                    cloud: std::mem::take(&mut m.cloud),
+                    request: m.request.clone(),
+                    checks: alone,
+                },
+            }));
         }
         m.checks.extend(checks);
+        Ok(())
+    }
+
+    /// Says what is weak.
+    fn say<'c>(&self, checks: impl Iterator<Item = &'c Check>) {
+        let weak = checks.filter(|c| c.outcome != Outcome::Refused);
+        weak.filter_map(Check::sentence)
+            .for_each(|words| self.out.warn(&words));
     }
 
     /// Writes cloud and result of a measurement.
     pub fn write(&self, measured: &Measurement) -> anyhow::Result<ResultFile> {
+        for words in self.put_aside(&self.clouds_not_asked_for())? {
+            self.out.warn(&words);
+        }
         let source = self.args.settings().1;
         let robot = self.session.manifest.robot_from_camera.as_ref();
         let mut result = ResultFile::new(measured, "cloud.ply", source, self.method, robot);
@@ -293,70 +329,98 @@ impl Job<'_> {
             let angles: Vec<f64> = simulated.collect();
             let numerics = crate::puncture::Numerics::default();
             let criterion = decision.criterion;
-            let found = super::puncture::simulate(&setup, &angles, &numerics, criterion, self.out)?;
+            let found = self.times.time(Stage::Puncture, || {
+                super::puncture::simulate(&setup, &angles, &numerics, criterion, self.out)
+            })?;
             report::with_reference(&mut section, &found);
+            section.settings = report::under("force curves", &numerics);
         }
         let outcome = report::Outcome::Measured(measured);
-        self.assemble(outcome, Some(section), truth, "report.html")
+        self.assemble(outcome, Some(section), truth)
     }
 
-    /// Writes what there is where no angle is given (what the gates refuse; a file that can't be
-    /// read leaves nothing to show): the cloud and a report that says why. Gives the error back for
-    /// the user.
+    /// Writes what there is where no angle is given (what the gates refuse): the cloud and a report
+    /// that says why. A file that can't be read leaves nothing to show. Gives the error back for the
+    /// user.
     pub fn refused(&self, error: anyhow::Error) -> anyhow::Error {
-        let (reason, scanned) = match error.downcast_ref() {
-            Some(PipelineError::Needle {
-                source, scanned, ..
-            }) => (source.to_string(), Some(scanned.as_ref())),
-            Some(e) if e.calibrated().is_some() => (e.to_string(), None),
-            _ => return error,
-        };
-        let written = || -> anyhow::Result<()> {
-            let mut reasons = vec![reason];
-            let result = self.folder.join("result.json");
-            // Nobody may take an earlier run's needle for this hand's.
-            if result.exists() {
-                std::fs::rename(&result, self.folder.join("result-before.json"))?;
-                reasons.push(
-                    "the result of an earlier run in this folder was put aside as result-before.json: do not use it for this hand".to_owned(),
-                );
+        let (reasons, scanned) = match (error.downcast_ref(), error.downcast_ref::<NotUsable>()) {
+            (
+                Some(PipelineError::Needle {
+                    source, scanned, ..
+                }),
+                _,
+            ) => {
+                self.say(scanned.checks.iter());
+                (vec![source.to_string()], Some(scanned.as_ref()))
             }
-            // A calibration that was refused in this run: an earlier one is not of this recording.
-            let calibration = self.folder.join("calibration.json");
-            if scanned.is_none() && self.provenance.calibration.is_none() && calibration.exists() {
-                std::fs::rename(&calibration, self.folder.join("calibration-before.json"))?;
-                reasons.push(
-                    "the calibration of an earlier run in this folder was put aside as calibration-before.json: it is not this recording's".to_owned(),
-                );
-            }
-            for (file, written) in [
-                ("cloud.ply", scanned.is_some()),
-                ("cloud.xyz", scanned.is_some() && self.args.xyz),
-                ("cloud.csv", scanned.is_some() && self.args.csv),
-            ] {
-                let cloud = self.folder.join(file);
-                if !written && cloud.exists() {
-                    let aside = file.replace("cloud", "cloud-before");
-                    std::fs::rename(&cloud, self.folder.join(&aside))?;
-                    reasons.push(format!(
-                        "{file} of an earlier run in this folder was put aside as {aside}: it is not this hand's"
-                    ));
+            (_, Some(e)) => (e.reasons.clone(), Some(&e.scanned)),
+            (Some(e), _) if e.calibrated().is_some() => (vec![e.to_string()], None),
+            _ => {
+                // Nobody may take an earlier run's needle for this hand's.
+                let stale = ["result.json", "report.html"].iter().chain(&CLOUDS);
+                match self.put_aside(&stale.copied().collect::<Vec<_>>()) {
+                    Ok(said) => said.iter().for_each(|words| self.out.warn(words)),
+                    Err(e) => self.out.error(&e.into()),
                 }
+                return error;
             }
-            if let Some(s) = scanned {
-                write_cloud(self.folder, &s.cloud, self.args)?;
-            }
-            let outcome = report::Outcome::Refused(reasons, scanned);
-            self.assemble(outcome, None, Vec::new(), "report.html")?;
-            let page = self.folder.join("report.html");
-            self.out
-                .say(&format!("why, to be seen: {}", page.display()));
-            Ok(())
         };
-        if let Err(e) = written() {
+        if let Err(e) = self.write_refused(reasons, scanned) {
             self.out.error(&e);
         }
         error
+    }
+
+    fn write_refused(
+        &self,
+        mut reasons: Vec<String>,
+        scanned: Option<&Scanned>,
+    ) -> anyhow::Result<()> {
+        let mut stale = vec!["result.json"];
+        match scanned {
+            Some(_) => stale.extend(self.clouds_not_asked_for()),
+            None => stale.extend(CLOUDS),
+        }
+        // A calibration that was refused in this run: an earlier one is not of this recording.
+        if scanned.is_none() && self.provenance.calibration.is_none() {
+            stale.push("calibration.json");
+        }
+        reasons.extend(self.put_aside(&stale)?);
+        if let Some(s) = scanned {
+            write_cloud(self.folder, &s.cloud, self.args)?;
+        }
+        let outcome = report::Outcome::Refused(reasons, scanned);
+        self.assemble(outcome, None, Vec::new())?;
+        let page = self.folder.join("report.html");
+        self.out
+            .say(&format!("why, to be seen: {}", page.display()));
+        Ok(())
+    }
+
+    /// The clouds that this run does not write.
+    fn clouds_not_asked_for(&self) -> Vec<&'static str> {
+        let asked = [true, self.args.xyz, self.args.csv];
+        let clouds = CLOUDS.into_iter().zip(asked);
+        clouds.filter(|c| !c.1).map(|c| c.0).collect()
+    }
+
+    /// Renames what an earlier run has left in the folder, so that nobody takes it for this run's;
+    /// says so, a sentence for each.
+    fn put_aside(&self, files: &[&str]) -> std::io::Result<Vec<String>> {
+        let mut said = Vec::new();
+        for file in files {
+            let path = self.folder.join(file);
+            if !path.exists() {
+                continue;
+            }
+            let (stem, extension) = file.rsplit_once('.').unwrap_or((file, ""));
+            let aside = format!("{stem}-before.{extension}");
+            std::fs::rename(&path, self.folder.join(&aside))?;
+            said.push(format!(
+                "{file} of an earlier run in this folder was put aside as {aside}: it is not this one's"
+            ));
+        }
+        Ok(said)
     }
 
     fn assemble(
@@ -364,7 +428,6 @@ impl Job<'_> {
         outcome: report::Outcome,
         puncture: Option<report::Puncture>,
         truth: Vec<report::TruthRow>,
-        name: &str,
     ) -> anyhow::Result<()> {
         let (settings, source) = self.args.settings();
         let mut rows = report::settings(self.method, &settings);
@@ -372,6 +435,7 @@ impl Job<'_> {
         rows.extend(
             measured_with.filter(|(name, _)| !["program", "time"].contains(&name.as_str())),
         );
+        rows.extend(puncture.iter().flat_map(|p| p.settings.iter().cloned()));
         let page = report::assemble(report::Sources {
             session: self.session,
             calibration: self.calibration,
@@ -384,9 +448,12 @@ impl Job<'_> {
             truth,
             times: self.times,
         })?;
-        Ok(report::write(&page, &self.folder.join(name))?)
+        Ok(report::write(&page, &self.folder.join("report.html"))?)
     }
 }
+
+/// The files of a cloud.
+const CLOUDS: [&str; 3] = ["cloud.ply", "cloud.xyz", "cloud.csv"];
 
 /// Writes cloud.ply, and cloud.xyz and cloud.csv where asked for.
 fn write_cloud(

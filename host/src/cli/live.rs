@@ -4,7 +4,7 @@
 use super::Output;
 use super::job::{Job, NeedleArgs};
 use crate::calibration::RigModel;
-use crate::checks::{Check, Limit, sentences};
+use crate::checks::{Check, Limit};
 use crate::image::{Image, Pixel};
 use crate::output::{CalibrationFile, ResultFile, ScanProvenance};
 use crate::pipeline::{
@@ -116,7 +116,6 @@ pub struct Finished {
     pub measured: Measurement,
     /// How long after the last frame they stood.
     pub after: Duration,
-    left_out: Vec<String>,
     times: Times,
     begun: Instant,
 }
@@ -205,7 +204,6 @@ impl Live {
         Ok(Finished {
             measured,
             after: last.elapsed(),
-            left_out,
             times: self.times,
             begun,
         })
@@ -225,8 +223,8 @@ fn decide<P: Pixel>(
 }
 
 impl Finished {
-    /// Adds the checks of scan and calibration, and says what is weak; then writes cloud, result and report where there is a folder
-    /// for them.
+    /// Adds the checks of scan and calibration, and says what is weak; then writes cloud, result and
+    /// report where there is a folder for them.
     #[allow(clippy::too_many_arguments)]
     pub fn conclude(
         &mut self,
@@ -249,15 +247,11 @@ impl Finished {
             begun: self.begun,
             out,
         };
-        // They stand among the warnings already.
-        for words in &self.left_out {
-            out.warn(words);
-        }
-        for words in sentences(&weak) {
-            out.warn(&words);
-        }
         self.measured.checks.extend(weak);
-        job.weigh(&mut self.measured);
+        job.weigh(&mut self.measured).map_err(|e| match folder {
+            Some(_) => job.refused(e),
+            None => e,
+        })?;
         if folder.is_none() {
             return Ok(None);
         }
@@ -367,6 +361,15 @@ mod tests {
         }
     }
 
+    /// What is said of frames that were left out.
+    fn left_out(finished: &Finished) -> Vec<&str> {
+        let checks = finished.measured.checks.iter();
+        checks
+            .filter(|c| c.what == "scan: frame")
+            .map(|c| c.words.as_str())
+            .collect()
+    }
+
     /// A position that was shot again comes last; cloud and needle must not know.
     #[test]
     fn frames_that_come_out_of_order_give_the_same_needle() {
@@ -404,8 +407,8 @@ mod tests {
                 }
             })
             .unwrap();
-        assert_eq!(spoiled.left_out.len(), 4, "{:?}", spoiled.left_out);
-        for (words, i) in spoiled.left_out.iter().zip(bad) {
+        assert_eq!(left_out(&spoiled).len(), 4, "{:?}", left_out(&spoiled));
+        for (words, i) in left_out(&spoiled).into_iter().zip(bad) {
             assert!(
                 words.starts_with(&format!("frame {i}: ")) && words.ends_with(": left out"),
                 "{words}"
@@ -413,7 +416,7 @@ mod tests {
         }
         let rest: Vec<usize> = all.iter().copied().filter(|i| !bad.contains(i)).collect();
         let without = played.measure(&rest, |_, p| p).unwrap();
-        assert!(without.left_out.is_empty());
+        assert!(left_out(&without).is_empty());
         assert_eq!(spoiled.measured.cloud, without.measured.cloud);
         assert_eq!(
             spoiled.measured.decision.needle.axis,
@@ -431,8 +434,9 @@ mod tests {
                 _ => picture,
             })
             .unwrap();
-        assert_eq!(dark.left_out.len(), 1, "{:?}", dark.left_out);
-        assert!(dark.left_out[0].starts_with("frame 12: the laser's stripe"));
+        let said = left_out(&dark);
+        assert_eq!(said.len(), 1, "{said:?}");
+        assert!(said[0].starts_with("frame 12: the laser's stripe"));
 
         // Nothing but such pictures: the first one's sentence.
         let none = played.measure(&all, |_, picture| {

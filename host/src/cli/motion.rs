@@ -156,9 +156,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 )
             })
         }
-        Command::Config => out.result(&json!({ "configuration": config }), || {
-            format!("the board has taken\n{config:#?}")
-        }),
+        Command::Config => {
+            let object = json!({ "configuration": config });
+            out.result(&object, || taken(&object["configuration"]))
+        }
         Command::Stop => finish(&board, board.stop(), &done),
         Command::Rearm => finish(&board, board.rearm(), &done),
         Command::Release => finish(&board, board.release(), &done),
@@ -169,6 +170,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             })
         }
     }
+}
+
+/// A configuration for people: a setting a line.
+fn taken(configuration: &serde_json::Value) -> String {
+    let mut text = "the board has taken".to_owned();
+    for (key, value) in configuration.as_object().into_iter().flatten() {
+        let value = value.as_str().map_or_else(|| value.to_string(), Into::into);
+        text += &format!("\n  {key:<26} {value}");
+    }
+    text
 }
 
 fn finish(

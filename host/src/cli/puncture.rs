@@ -3,6 +3,7 @@
 use super::Output;
 use super::output::BadArgument;
 use crate::output::write_whole;
+use crate::pipeline::{Stage, Times};
 use crate::progress::Progress;
 use crate::puncture::Calibration;
 use crate::puncture::basis::{Basis, Provenance};
@@ -111,7 +112,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         "constrained" => Criterion::Constrained,
         _ => Criterion::Paper,
     };
-    let mut report = simulate(&setup, &angles, &numerics, criterion, out)?;
+    let times = Times::default();
+    let mut report = times.time(Stage::Puncture, || {
+        simulate(&setup, &angles, &numerics, criterion, out)
+    })?;
     if args.convergence {
         report.convergence = refine(&setup, &report.runs, &numerics, out);
     }
@@ -119,8 +123,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         .paper_layers
         .then(|| paper_preset::compare(&report.runs));
     write(&report, &args.out)?;
-    let page =
-        crate::report::of_puncture(crate::report::punctured(&report, &setup), settings(&report));
+    let section = crate::report::punctured(&report, &setup);
+    let page = crate::report::of_puncture(section, settings(&report), &times);
     crate::report::write(&page, &args.out.join("report.html"))?;
     out.result(&report, || {
         let mut text = String::new();

@@ -80,7 +80,7 @@ pub enum NeedleError {
     },
     /// Two frames between which the stripe did not follow the slide.
     #[error(
-        "from frame {} to frame {} the stripe moves {ratio:.1} times as far in the image as the slide's travel asks for ({least} to {most} is a surface's): a frame was lost or doubled, a position is wrong, or the hand moved; scan again", frames[0], frames[1]
+        "from frame {} to frame {} the stripe moves {ratio:.2} times as far in the image as the slide's travel asks for ({least:.2} to {most:.2} is a surface's): a frame was lost or doubled, a position is wrong, the slide slipped or the hand moved; scan again", frames[0], frames[1]
     )]
     OutOfStep {
         /// The frames, from 0.

@@ -413,7 +413,7 @@ pub fn decide_noting(
     let within = |radius: f64| {
         let inner = surface.patch(&met, radius, Interpolation::Cubic);
         let sine = PlaneFit::new(&inner.cells)?.plane.normal.dot(&needle.axis);
-        Some(sine.abs().min(1.0).asin())
+        Some(sine.clamp(-1.0, 1.0).asin())
     };
     let half = 0.5 * request.radius_mm;
     let parts = SMALLER.map(|part| part * request.radius_mm);

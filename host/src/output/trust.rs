@@ -1,6 +1,8 @@
 //! Whether a calibration is still to be trusted: its age and how loose it is.
 
 use super::{CalibrationFile, LightFile};
+use crate::calibration::camera::REFUSE_RMS_PX;
+use crate::calibration::light::REFUSE_HOLD_OUT_MM;
 use crate::checks::{self, Check, Limit};
 use crate::needle::Uncertainty;
 use jiff::{SignedDuration, Timestamp};
@@ -9,15 +11,16 @@ use jiff::{SignedDuration, Timestamp};
 pub const OLD_DAYS: i64 = 30;
 /// Corners that miss the fitted boards by more, root mean square, px: ten times what is usual.
 pub const LOOSE_CORNERS_PX: f64 = 0.3;
-/// Positions predicted from the others that miss by more on the mean, mm: the paper's own level.
-pub const LOOSE_PLANES_MM: f64 = 0.1;
-/// Beyond these a calibration is refused: a year without a look at it, corners off by more than a
-/// pixel, planes by more than a needle is wide.
+/// Positions predicted from the others that miss by more on the mean, mm: ten times what is usual. A slip
+/// of the slide that misses by 0.07 mm turns the hand's normal by half a degree, and no σ holds it.
+pub const LOOSE_PLANES_MM: f64 = 0.02;
+/// Beyond these a calibration is refused: a year without a look at it, corners by which none would be
+/// made today, planes off by twice what the paper's own rig shows.
 pub const REFUSED_DAYS: i64 = 365;
 /// See [`REFUSED_DAYS`].
-pub const REFUSED_CORNERS_PX: f64 = 1.0;
+pub const REFUSED_CORNERS_PX: f64 = REFUSE_RMS_PX;
 /// See [`REFUSED_DAYS`].
-pub const REFUSED_PLANES_MM: f64 = 1.0;
+pub const REFUSED_PLANES_MM: f64 = REFUSE_HOLD_OUT_MM;
 /// A line farther off its own planes was not fitted to them.
 pub const OWN_PLANES_MM: f64 = 5.0;
 /// Standard deviations that the calibration alone may put on entry (mm) and needle axis (degrees)
@@ -104,7 +107,7 @@ pub fn calibration_checks(
             "days",
         );
         let old = old.refused_beyond(Limit::AtMost(REFUSED_DAYS as f64));
-        all.push(old.or(|| {
+        all.push(old.or_beyond(|most| {
             let days = apart.abs().as_hours() / 24;
             let what = match (scan, apart > SignedDuration::ZERO) {
                 (None, true) => format!("the calibration is {days} days old"),
@@ -113,7 +116,7 @@ pub fn calibration_checks(
                 (Some(_), false) => format!("the calibration is of {days} days after the scan"),
             };
             because(
-                format!("{what} (more than {OLD_DAYS})"),
+                format!("{what} (more than {most})"),
                 "calibrate again, or check it with one board pose",
             )
         }));
@@ -157,24 +160,41 @@ pub fn calibration_checks(
         "px",
     )
     .refused_beyond(Limit::Between([0.0, REFUSED_CORNERS_PX]));
-    all.push(corners.or(|| {
+    all.push(corners.or_beyond(|most| {
         because(
             format!(
-                "the calibration is loose: corners miss by {:.2} px (0 to {LOOSE_CORNERS_PX} are good)",
+                "the calibration is loose: corners miss by {:.2} px (more than {most:?})",
                 file.camera.rms_px
             ),
             "calibrate again with a flat board, sharp and still",
         )
     }));
     let light = file.light.as_ref();
+    all.push(
+        Check::is("calibration: has light planes", light.is_some()).or(|| {
+            because(
+                "the calibration is the camera’s alone: no hand can be measured with it".to_owned(),
+                "calibrate with a session that has \"light\", too",
+            )
+        }),
+    );
+    if let Some(light) = light {
+        let travels = light.a.is_some() && light.b.is_some();
+        all.push(Check::is("calibration: knows how the light plane travels", travels).or(|| {
+            because(
+                "the calibration has one slide position: a hand can be measured with the slide there only".to_owned(),
+                "calibrate with the slide at several positions",
+            )
+        }));
+    }
     if let Some(miss) = light.and_then(|l| l.hold_out_error_mm.or(l.offset_error_mm)) {
         let limit = Limit::Between([0.0, LOOSE_PLANES_MM]);
         let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm")
             .refused_beyond(Limit::Between([0.0, REFUSED_PLANES_MM]));
-        all.push(planes.or(|| {
+        all.push(planes.or_beyond(|most| {
             because(
                 format!(
-                    "the calibration is loose: light planes are predicted to {miss:.2} mm (more than {LOOSE_PLANES_MM})"
+                    "the calibration is loose: light planes are predicted to {miss:.2} mm (more than {most:?})"
                 ),
                 "check the slide for slip and calibrate again with more board poses",
             )

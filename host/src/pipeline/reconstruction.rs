@@ -6,7 +6,7 @@ use super::error::PipelineError;
 use super::sequence;
 use super::times::{Stage, Times};
 use crate::calibration::{RigModel, loss};
-use crate::checks::{Check, Limit, sentences};
+use crate::checks::{Check, Limit};
 use crate::cloud::{CloudPoint, Lost, triangulate};
 use crate::geometry::{Point3, Vector2};
 use crate::image::{Image, Pixel};
@@ -248,14 +248,11 @@ impl<P: Pixel> Reconstruction<P> {
         }
         let mut made = Vec::new();
         let decided = times.time(Stage::Needle, || {
-            let breaks = sequence::breaks(&self.cloud, &self.positions, self.settings.axis);
-            checks.push(Check::held(
-                "scan: frames whose stripe does not follow the slide",
-                breaks.len() as f64,
-                Limit::AtMost(0.0),
-                "",
-            ));
-            if let Some(first) = breaks.first() {
+            let sub_pixel = self.method == Method::Ml;
+            let axis = self.settings.axis;
+            let sequence = sequence::follow(&self.cloud, &self.positions, axis, sub_pixel);
+            checks.extend(sequence.checks());
+            if let Some(first) = sequence.breaks.first() {
                 return Err(first.error());
             }
             self.decide(&request, settings, &mut made)
@@ -368,9 +365,6 @@ fn run<P: Pixel>(
     let size = (manifest.image.width, manifest.image.height);
     let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
     let checks = belong_together(session.file(), size, rig, calibrated, &positions)?;
-    for warning in sentences(&checks) {
-        progress.warn(&warning);
-    }
     let read = |name: &String| {
         times
             .time(Stage::Read, || session.laser::<P>(name))

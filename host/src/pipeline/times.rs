@@ -23,12 +23,14 @@ pub enum Stage {
     Cloud,
     /// Plane, entry, axis.
     Needle,
+    /// Force curves by the reference simulation.
+    Puncture,
     /// Writing files.
     Write,
 }
 
 /// All stages in the order of a job.
-const STAGES: [(Stage, &str); 9] = [
+const STAGES: [(Stage, &str); 10] = [
     (Stage::Read, "read"),
     (Stage::Corners, "corners"),
     (Stage::BoardStripe, "board_stripe"),
@@ -37,6 +39,7 @@ const STAGES: [(Stage, &str); 9] = [
     (Stage::HandStripe, "hand_stripe"),
     (Stage::Cloud, "cloud"),
     (Stage::Needle, "needle"),
+    (Stage::Puncture, "puncture"),
     (Stage::Write, "write"),
 ];
 

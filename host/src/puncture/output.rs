@@ -28,7 +28,7 @@ pub struct RunSummary {
     /// File of the curve.
     pub curve: String,
     /// Smallest distance from tip to far wall, mm.
-    pub clearance_mm: f64,
+    pub far_wall_mm: f64,
     /// The tip came to the far wall before the end.
     pub transfixed: bool,
     /// How well it was computed.
@@ -197,7 +197,7 @@ pub fn summary(run: &Run) -> RunSummary {
         work_n_mm: last.energy.needle,
         events: events(run),
         curve: curve_name(run.angle_deg),
-        clearance_mm: run.clearance_mm,
+        far_wall_mm: run.far_wall_mm,
         transfixed: run.transfixed,
         quality: Quality {
             energy_error: run.energy_error(),

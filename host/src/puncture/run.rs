@@ -131,7 +131,7 @@ pub struct Run {
     /// Most bricks on the stabilised branch at a time.
     pub stabilised: usize,
     /// Smallest distance from the tip to the far wall as it lay then, mm.
-    pub clearance_mm: f64,
+    pub far_wall_mm: f64,
     /// Whether the run ended because the tip had come to the far wall.
     pub transfixed: bool,
 }
@@ -328,7 +328,7 @@ impl Model {
     }
 
     /// Distance from the tip to the far wall above which it is, mm.
-    fn clearance(&self, tip: [f64; 2]) -> f64 {
+    fn far_wall_mm(&self, tip: [f64; 2]) -> f64 {
         let mut best = (f64::INFINITY, f64::INFINITY);
         for &p in &self.far {
             let r = self.body.rest(p);
@@ -452,7 +452,7 @@ pub fn puncture(
     let mut work = 0.0;
     let mut strain = 0.0;
     let mut severed = Severed::default();
-    let mut clearance = f64::INFINITY;
+    let mut far_wall = f64::INFINITY;
     let mut transfixed = false;
     let mut steps = 0;
     let mut last = false;
@@ -512,9 +512,9 @@ pub fn puncture(
                     *place = Some(moved);
                 }
             }
-            clearance = clearance.min(m.clearance(needle.at.tip));
+            far_wall = far_wall.min(m.far_wall_mm(needle.at.tip));
             progress((moved / (path + numerics.along_vein_mm)).min(1.0));
-            if clearance < 0.05 {
+            if far_wall < 0.05 {
                 transfixed = true;
                 break;
             }
@@ -538,7 +538,7 @@ pub fn puncture(
         seconds: start.elapsed().as_secs_f64(),
         j_range: body.j_range,
         stabilised: body.stabilised,
-        clearance_mm: clearance,
+        far_wall_mm: far_wall,
         transfixed,
     })
 }

@@ -326,6 +326,8 @@ pub struct Puncture {
     pub against: Vec<String>,
     /// Sensitivity to friction and toughness.
     pub sensitivity: Table,
+    /// How the reference simulation was run, name and value; empty where it was not.
+    pub settings: Vec<(String, String)>,
 }
 
 /// An error against the truth.

@@ -92,11 +92,12 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
                 None => CALIBRATION,
             };
             let scanned = scanned.iter().flat_map(|s| s.checks.iter().cloned());
-            let checks = refusals(part, reasons.get(..1).unwrap_or_default());
-            (
-                checks.chain(scanned).chain(of_calibration()).collect(),
-                reasons,
-            )
+            let calibration = of_calibration();
+            // What the calibration's own checks refuse stands among them.
+            let told = refused_words(&calibration);
+            let first = reasons.first().filter(|r| !told.contains(r));
+            let checks = refusals(part, first.map_or(&[], std::slice::from_ref));
+            (checks.chain(scanned).chain(calibration).collect(), reasons)
         }
         Outcome::Calibrated(refused) => {
             let checks = refusals(CALIBRATION, refused.get(..1).unwrap_or_default());
@@ -105,9 +106,9 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     };
     let verdict = Verdict {
         usable: checks.iter().all(|c| c.outcome != checks::Outcome::Refused),
-        reasons: match measured {
-            Some(_) => refused_words(&checks),
-            None => reasons.to_vec(),
+        reasons: match reasons {
+            [] => refused_words(&checks),
+            reasons => reasons.to_vec(),
         },
         warnings: checks
             .iter()
@@ -159,7 +160,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
 /// The part whose checks stand in the calibration's section too.
 const CALIBRATION: &str = "calibration";
 
-/// Why a result that stands is not to be used.
+/// What refuses, in words.
 fn refused_words(checks: &[Check]) -> Vec<String> {
     let refused = checks
         .iter()
@@ -191,11 +192,11 @@ fn title(s: &Sources) -> String {
 }
 
 /// The report of `cannula puncture`.
-pub fn of_puncture(section: Puncture, settings: Vec<(String, String)>) -> Report {
+pub fn of_puncture(section: Puncture, settings: Vec<(String, String)>, times: &Times) -> Report {
     Report {
         title: "Puncture: force on the needle at each angle".to_owned(),
         puncture: Some(section),
-        provenance: sources::provenance("", settings, &Times::default()),
+        provenance: sources::provenance("", settings, times),
         ..Report::default()
     }
 }

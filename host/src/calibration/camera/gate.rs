@@ -19,10 +19,8 @@ const LITTLE_TILT_DEG: f64 = 20.0;
 const REFUSE_FOCAL: f64 = 0.01;
 /// And at which it is named.
 const WARN_FOCAL: f64 = 0.002;
-/// Residuals at which the corners are not those of the board.
-const REFUSE_RMS_PX: f64 = 5.0;
-/// And at which something is wrong.
-const WARN_RMS_PX: f64 = 1.0;
+/// Residuals at which the corners are not those of the board, or the board is not flat.
+pub const REFUSE_RMS_PX: f64 = 1.0;
 
 /// fx over fy that a sensor's pixels can give.
 const RATIO: [f64; 2] = [0.9, 1.1];
@@ -164,16 +162,12 @@ fn views(e: &Evidence, gate: &mut Gate) {
     let fits = gate.holds(
         "camera: corners off the fitted boards, RMS",
         e.rms_px,
-        Limit::AtMost(WARN_RMS_PX),
+        Limit::AtMost(REFUSE_RMS_PX),
         "px",
     );
     if !fits {
         gate.findings.push(Finding {
-            severity: if e.rms_px > REFUSE_RMS_PX {
-                Severity::Refuse
-            } else {
-                Severity::Warn
-            },
+            severity: Severity::Refuse,
             cause: Cause::LargeResiduals,
             view: None,
             what: format!(
@@ -371,7 +365,6 @@ pub fn limits() -> Vec<(&'static str, String)> {
             "camera: refused at residuals of",
             format!("{REFUSE_RMS_PX} px"),
         ),
-        ("camera: named at residuals of", format!("{WARN_RMS_PX} px")),
         ("camera: fewest views", super::LEAST_VIEWS.to_string()),
         (
             "camera: named if fx over fy is outside",

@@ -6,7 +6,7 @@
 
 mod gate;
 
-pub use gate::limits;
+pub use gate::{REFUSE_RMS_PX, limits};
 
 use super::corners::{CornerView, Residuals};
 use super::finding::{Finding, Severity, refusals};

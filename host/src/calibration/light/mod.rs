@@ -24,7 +24,7 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
-pub use gate::limits;
+pub use gate::{REFUSE_HOLD_OUT_MM, limits};
 pub use joint::calibrate;
 
 use super::finding::{Finding, refusals};

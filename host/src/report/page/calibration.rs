@@ -3,7 +3,7 @@
 
 use super::needle::parameters;
 use super::table::table;
-use super::{chart, number, scientific};
+use super::{chart, count, number, scientific};
 use crate::calibration::light::published::{TABLE_1, TABLE_2, TABLE_3, TABLE_4};
 use crate::report::chart as charts;
 use crate::report::model::{Calibration, Light, Position};
@@ -15,9 +15,9 @@ pub fn section(c: &Calibration) -> Markup {
     html! {
         h2 { "Calibration" }
         p {
-            "Corners miss the fitted board by " (number(c.rms_px, 4)) " px RMS over " (c.views.len()) " views"
+            "Corners miss the fitted board by " (number(c.rms_px, 4)) " px RMS over " (count(c.views.len(), "view"))
             @if !c.positions.is_empty() {
-                "; light planes at " (c.positions.len()) " slide positions"
+                "; light planes at " (count(c.positions.len(), "slide position"))
             }
             ". Method: " (c.method) "."
             @if let Some(made) = &c.made { " It is " (made) "." }
@@ -160,21 +160,28 @@ fn table_3(c: &Calibration) -> Markup {
 }
 
 fn table_4(c: &Calibration) -> Markup {
-    let rows: Vec<Vec<String>> = c.positions.iter().map(offset).collect();
+    // With one position there is no line to predict it from.
+    let travels = c.light.as_ref().is_some_and(|l| l.travel.is_some());
+    let row = |p: &Position| offset(p, travels);
+    let rows: Vec<Vec<String>> = c.positions.iter().map(row).collect();
     html! { div.block {
         (table("Table 4: D predicted and fitted", &["slide / mm", "predicted / mm", "fitted / mm", "difference / mm", "|hold-out| / mm", "points", "RMS to plane / mm", "paper: predicted / mm", "paper: real / mm", "paper: |difference| / mm"], &rows))
-        @if !rows.is_empty() { p.soft { "Mean |difference| " (number(c.offset_error_mm, 4)) " mm; in the paper 0.174 mm (0.179 mm with the misprint in its row of 10 mm mended, as here). Hold-out: the position is left out and predicted from the rest." } }
+        @if travels && !rows.is_empty() { p.soft { "Mean |difference| " (number(c.offset_error_mm, 4)) " mm; in the paper 0.174 mm (0.179 mm with the misprint in its row of 10 mm mended, as here). Hold-out: the position is left out and predicted from the rest." } }
     } }
 }
 
-fn offset(p: &Position) -> Vec<String> {
+fn offset(p: &Position, travels: bool) -> Vec<String> {
+    let told = |mm: f64| match travels {
+        true => number(mm, 4),
+        false => "–".into(),
+    };
     let paper = TABLE_4.iter().find(|r| r.0 == p.slide_mm);
     let of = |f: fn(&(f64, f64, f64, f64)) -> f64| paper.map_or("–".into(), |r| number(f(r), 3));
     vec![
         number(p.slide_mm, 2),
-        number(p.predicted_mm, 4),
+        told(p.predicted_mm),
         number(p.fitted_mm, 4),
-        number(p.predicted_mm - p.fitted_mm, 4),
+        told(p.predicted_mm - p.fitted_mm),
         p.hold_out_mm.map_or("–".into(), |h| number(h, 4)),
         p.points.to_string(),
         number(p.rms_mm, 4),

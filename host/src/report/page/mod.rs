@@ -64,6 +64,14 @@ fn drawn(plot: &Plot, width: u32, height: u32) -> Markup {
 }
 
 /// Fixed decimals with a true minus.
+/// "1 view", "2 views".
+fn count(n: usize, of: &str) -> String {
+    match n {
+        1 => format!("1 {of}"),
+        _ => format!("{n} {of}s"),
+    }
+}
+
 fn number(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "–".into();

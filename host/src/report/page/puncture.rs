@@ -29,6 +29,6 @@ pub fn section(p: &Puncture) -> Markup {
             (given("The decision, angle by angle", &p.decision))
             @if !p.against.is_empty() { ul { @for a in &p.against { li { (a) } } } }
         }
-        (given("Sensitivity: peak force / N under other assumptions", &p.sensitivity))
+        (given("Sensitivity: peak force / N by the fast model, under other assumptions", &p.sensitivity))
     }
 }

@@ -43,7 +43,7 @@ pub fn section(s: &Scene) -> Markup {
         h2 { "The scan in space" }
         div.scene {
         div.controls {
-            label { "colour " select { option value="height" { "height" } option value="brightness" { "brightness" } } }
+            label.screen { "colour " select { option value="height" { "height" } option value="brightness" { "brightness" } } }
             span.scale { span.low {} i {} span.high {} }
             label { input type="checkbox" data-layer="cloud" checked; " cloud" }
             @for (layer, _, colour, name) in layers.iter().filter(|l| l.1) {

@@ -40,6 +40,7 @@ pub fn decided(d: &Decision, setup: &Setup, given: Option<f64>) -> Puncture {
             })
             .collect(),
         given_deg: given,
+        settings: Vec::new(),
         angle_deg: d.angle_deg,
         criterion: serde_json::to_value(d.criterion)
             .ok()

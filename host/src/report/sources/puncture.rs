@@ -24,6 +24,15 @@ pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
         path.display()
     );
     let runs = json["runs"].as_array().map_or(&[][..], Vec::as_slice);
+    ensure!(
+        !runs.is_empty(),
+        "{}: it holds no run: make it again with `cannula puncture`",
+        path.display()
+    );
+    let angle = |at: &Value| {
+        let told = at["angle_deg"].as_f64();
+        told.with_context(|| format!("{}: an angle_deg is missing in it", path.display()))
+    };
     let runs = runs
         .iter()
         .map(|run| {
@@ -36,7 +45,7 @@ pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
             );
             Ok(PunctureRun {
                 model: Model::Reference,
-                angle_deg: run["angle_deg"].as_f64().unwrap_or(f64::NAN),
+                angle_deg: angle(run)?,
                 curve: curve(&folder.join(name))?,
                 events: events(&run["events"]),
             })
@@ -45,7 +54,7 @@ pub fn puncture_folder(folder: &Path) -> anyhow::Result<Puncture> {
     let decision = &json["decision"];
     Ok(Puncture {
         runs,
-        angle_deg: decision["angle_deg"].as_f64().unwrap_or(f64::NAN),
+        angle_deg: angle(decision)?,
         criterion: decision["criterion"]
             .as_str()
             .unwrap_or_default()
@@ -72,7 +81,8 @@ fn events(json: &Value) -> Vec<(String, f64, Option<f64>, f64)> {
 /// time_s, depth_mm, force_n, skin_n, fat_n, vein_n: all but the depth.
 fn curve(path: &Path) -> anyhow::Result<Vec<[f64; 5]>> {
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    text.lines()
+    let rows = text
+        .lines()
         .skip(1)
         .map(|line| {
             let cells: Vec<f64> = line
@@ -84,7 +94,9 @@ fn curve(path: &Path) -> anyhow::Result<Vec<[f64; 5]>> {
                 _ => anyhow::bail!("{}: a row has not six numbers: {line}", path.display()),
             }
         })
-        .collect()
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    ensure!(!rows.is_empty(), "{}: it has no rows", path.display());
+    Ok(rows)
 }
 
 #[cfg(test)]
@@ -107,8 +119,20 @@ mod tests {
         assert_eq!(p.runs[0].curve, [[0.0; 5], [0.1, 1.5, 1.0, 0.25, 0.25]]);
         assert_eq!(p.runs[0].events, [("skin".to_owned(), 0.0, Some(0.4), 1.5)]);
         assert_eq!((p.angle_deg, p.criterion.as_str()), (60.0, "paper"));
-        let away = json.replace("curve_30.csv", "../curve_30.csv");
-        std::fs::write(folder.path().join("puncture.json"), away).unwrap();
-        assert!(puncture_folder(folder.path()).is_err());
+        let spoiled = |json: String| {
+            std::fs::write(folder.path().join("puncture.json"), json).unwrap();
+            format!("{:#}", puncture_folder(folder.path()).unwrap_err())
+        };
+        let away = spoiled(json.replace("curve_30.csv", "../curve_30.csv"));
+        assert!(away.contains("names no curve in its folder"), "{away}");
+        let unsaid = spoiled(json.replace("\"angle_deg\": 30, ", ""));
+        assert!(unsaid.contains("angle_deg is missing"), "{unsaid}");
+        let decision =
+            r#"{"format": "cannula-puncture/1", "runs": [], "decision": {"angle_deg": 60}}"#;
+        let none = spoiled(decision.into());
+        assert!(none.contains("holds no run"), "{none}");
+        std::fs::write(folder.path().join("curve_30.csv"), "time_s,depth_mm\n").unwrap();
+        let empty = spoiled(json.into());
+        assert!(empty.contains("curve_30.csv: it has no rows"), "{empty}");
     }
 }
