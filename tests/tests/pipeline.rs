@@ -1,13 +1,16 @@
 //! Whole recordings against their truth: what `cannula process` leaves must be right, within the
 //! stated uncertainty, the same on one thread and on many, and as the contract writes it.
 
+use cannula::image::Image;
 use cannula::needle;
 use cannula::output::{AngleSource, CalibrationFile, ResultFile};
 use cannula::pipeline::{Method, Times, calibrate, measure};
 use cannula::progress::Silent;
-use cannula::session::Session;
+use cannula::session::{self, Session};
 use cannula_tests::truth::{Truth, beside, committed, degrees, three};
+use nalgebra::Vector3;
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 struct Done {
@@ -154,6 +157,120 @@ fn the_papers_way_lands_where_it_should() {
     // No better than maximum likelihood, or something is not as the paper has it.
     assert!(e.entry > 0.1, "the entry on the plane misses the skin");
     assert_eq!(done.result["method"], "paper");
+}
+
+/// The recording as a camera turned by a quarter about its line of sight takes it, to the left: what was
+/// at (u, v) is at (v, width − 1 − u), and the stripe runs down the image.
+fn turned(folder: &Path) -> tempfile::TempDir {
+    let session = Session::open(folder).unwrap();
+    let mut m = session.manifest.clone();
+    let here = tempfile::tempdir().unwrap();
+    let (width, height) = (m.image.width as usize, m.image.height as usize);
+    for name in m.images().collect::<BTreeSet<_>>() {
+        let image = session.luma::<u8>(name).unwrap();
+        let mut other = Image::new(height, width, 0);
+        for v in 0..height {
+            for (u, pixel) in image.row(v).iter().enumerate() {
+                other.pixels_mut()[(width - 1 - u) * height + v] = *pixel;
+            }
+        }
+        let path = here.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        session::write_png(&path, &other).unwrap();
+    }
+    std::mem::swap(&mut m.image.width, &mut m.image.height);
+    let entry = m.entry.as_mut().unwrap();
+    for p in entry.vein.iter_mut().chain([&mut entry.pixel]) {
+        *p = [p[1], (width - 1) as f64 - p[0]];
+    }
+    let text = serde_json::to_vec(&m).unwrap();
+    std::fs::write(here.path().join("session.json"), text).unwrap();
+    here
+}
+
+/// A vector of the upright camera's frame in the turned one's.
+fn in_turned(v: Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(v.y, -v.x, v.z)
+}
+
+/// What turning the camera changed.
+struct Turned {
+    /// Normal, axis (degrees) and entry (mm), the turned recording's against the upright one's.
+    by: [f64; 3],
+    /// The turned one's against the truth.
+    off: [f64; 3],
+    /// Its σ of the three as parts of the upright one's.
+    sigmas: [f64; 3],
+}
+
+fn by_turning(folder: &Path, method: Method) -> Turned {
+    let truth = Truth::read(folder);
+    let (upright, other) = (
+        process(folder, method),
+        process(turned(folder).path(), method),
+    );
+    let number = |done: &Done, pointer: &str| {
+        let value = done.result.pointer(pointer).and_then(Value::as_f64);
+        value.unwrap_or_else(|| panic!("{pointer} is a number"))
+    };
+    let at = |done: &Done, pointer: &str| three(done.result.pointer(pointer).unwrap());
+    let from = |normal: Vector3<f64>, axis: Vector3<f64>, entry: Vector3<f64>| {
+        let (n, s) = (at(&other, "/plane/normal"), at(&other, "/needle/axis"));
+        [
+            degrees(&in_turned(normal), &n),
+            degrees(&in_turned(axis), &s),
+            (in_turned(entry) - at(&other, "/entry/point_mm")).norm(),
+        ]
+    };
+    let angle = number(&upright, "/needle/angle_deg");
+    let found = Turned {
+        by: from(
+            at(&upright, "/plane/normal"),
+            at(&upright, "/needle/axis"),
+            at(&upright, "/entry/point_mm"),
+        ),
+        off: from(truth.normal(), truth.axis(angle), truth.entry()),
+        sigmas: [
+            "/plane/normal_sigma_deg",
+            "/needle/axis_sigma_deg",
+            "/entry/sigma_mm",
+        ]
+        .map(|sigma| number(&other, sigma) / number(&upright, sigma)),
+    };
+    let points = [&upright, &other].map(|d| d.cloud.len());
+    println!(
+        "{method:?}: by {:.5?}, off {:.5?}, sigmas {:.4?}, {points:?} points",
+        found.by, found.off, found.sigmas
+    );
+    errors(&upright, &truth);
+    assert!(
+        points[0].abs_diff(points[1]) * 500 <= points[0],
+        "{points:?}"
+    );
+    found
+}
+
+/// A camera that is mounted a quarter turn round sees the stripe run down the image: the needle must
+/// be the same, and known as well.
+#[test]
+fn a_turned_camera_gives_the_same_needle() {
+    let tiny = by_turning(&committed("tiny-1001"), Method::Ml);
+    // Squares of 13 pixels: the corners are found to no better.
+    let [normal, axis, entry] = tiny.by;
+    assert!(normal < 0.01 && axis < 0.01 && entry < 0.04);
+    let Some(folder) = beside("nominal-1001") else {
+        return;
+    };
+    let nominal = by_turning(&folder, Method::Ml);
+    assert!(nominal.by.iter().all(|by| *by < 0.002));
+    // Speckle is told from the scatter, in windows counted from the stripe's other end.
+    for ratio in tiny.sigmas.into_iter().chain(nominal.sigmas) {
+        assert!((ratio - 1.0).abs() < 0.15, "{ratio}");
+    }
+    // Thinning eats from two sides of four, so that a turn moves its line by up to half a pixel: as
+    // good as upright, not the same.
+    let [normal, axis, entry] = by_turning(&folder, Method::Paper).off;
+    assert!(normal < 0.3 && axis < 0.5 && entry < 1.0);
 }
 
 /// The order of threads must not show in any digit.

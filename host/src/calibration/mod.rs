@@ -13,6 +13,7 @@ mod zhang;
 pub use finding::{Cause, Finding, Severity};
 
 use crate::geometry::{Camera, Plane, Vector3, tangent_basis};
+use crate::stripe::Axis;
 use nalgebra::SMatrix;
 
 /// How many parameters the whole calibration has. Their order in every covariance: the camera's
@@ -65,4 +66,49 @@ pub struct RigModel {
     pub light: LightModel,
     /// Covariance of both together, in the order of [`PARAMETERS`]; zero where not known.
     pub covariance: Covariance,
+}
+
+impl RigModel {
+    /// Along which axis of the image the stripe is to be searched. On a surface that faces the camera
+    /// the light plane leaves a line at right angles to (A/fx, B/fy), at any depth.
+    pub fn stripe_axis(&self) -> Axis {
+        let n = &self.light.normal;
+        match (n.x / self.camera.fx).abs() > (n.y / self.camera.fy).abs() {
+            true => Axis::Rows,
+            false => Axis::Columns,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Point3;
+
+    /// Against the stripe as it is seen: two points in which the light plane cuts a wall before the
+    /// camera, with the laser turned about the line of sight.
+    #[test]
+    fn the_stripe_is_searched_across_the_way_it_runs() {
+        let mut rig = crate::synthetic::rig();
+        let mut rows = 0;
+        for degrees in (0..180).step_by(10) {
+            let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
+            let (x, y, wall) = (0.8 * sin, 0.8 * cos, 430.0);
+            rig.light.normal = Vector3::new(x, y, 0.6);
+            rig.light.b = -0.6 * wall;
+            let seen = [-20.0, 20.0].map(|at| {
+                let place = Point3::new(at * cos, -at * sin, wall);
+                assert!(rig.light.plane(0.0).distance(&place).abs() < 1e-9);
+                rig.camera.project(&place).unwrap()
+            });
+            let run = seen[1] - seen[0];
+            let expected = match run.y.abs() > run.x.abs() {
+                true => Axis::Rows,
+                false => Axis::Columns,
+            };
+            assert_eq!(rig.stripe_axis(), expected, "{degrees}°");
+            rows += usize::from(expected == Axis::Rows);
+        }
+        assert!((8..=10).contains(&rows), "{rows} of 18");
+    }
 }

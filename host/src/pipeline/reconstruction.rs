@@ -66,12 +66,16 @@ impl<P: Pixel> Reconstruction<P> {
             Method::Paper => ambient.as_ref().map(paper::hand::region),
             Method::Ml => None,
         };
+        let settings = HandSettings {
+            axis: rig.stripe_axis(),
+            ..HandSettings::default()
+        };
         Self {
             rig,
             method,
             ambient,
             region,
-            settings: HandSettings::default(),
+            settings,
             frames: 0,
             positions: Vec::new(),
             cloud: Vec::new(),
@@ -154,7 +158,8 @@ impl<P: Pixel> Reconstruction<P> {
             height: image.height() as u32,
         });
         let points: Vec<StripePoint> = times.time(Stage::HandStripe, || {
-            paper::hand::extract(image, &region, &paper::hand::Settings::default())
+            let settings = paper::hand::Settings::default();
+            paper::hand::extract(image, &region, self.settings.axis, &settings)
         });
         let mut result = FrameResult::default();
         times.time(Stage::Cloud, || {

@@ -3,6 +3,8 @@
 //! Lengths mm, angles degrees, pixels as everywhere. A section that is `None` or empty is left out
 //! of the page.
 
+use crate::stripe::Axis;
+
 /// Everything on the page.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
@@ -251,6 +253,8 @@ pub struct StripeSample {
     pub name: String,
     /// Slide, mm.
     pub slide_mm: f64,
+    /// Along which axis the stripe was searched.
+    pub axis: Axis,
     /// The piece.
     pub image: Gray,
     /// Pixel of the frame at the piece's top left.

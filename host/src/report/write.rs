@@ -132,6 +132,8 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         false => sources::ambient(s.session, s.times)?,
     };
     let ambient = ambient.as_ref();
+    let axis = s.calibration.rig().map(|rig| rig.stripe_axis());
+    let axis = axis.unwrap_or_default();
     Ok(Report {
         title: title(&s),
         headline: headline.to_owned(),
@@ -149,7 +151,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
         checks,
         stripes: match alone {
             true => Vec::new(),
-            false => sources::stripes(s.session, ambient, measured, s.times)?,
+            false => sources::stripes(s.session, ambient, measured, axis, s.times)?,
         },
         puncture: s.puncture,
         truth: s.truth,

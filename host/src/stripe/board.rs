@@ -101,7 +101,15 @@ pub fn extract<P: Pixel>(
             }
             Ok(points)
         }
-        (Err(_), Err(none @ StripeError::NoStripe { .. })) => {
+        (Err(turned), Err(none @ StripeError::NoStripe { .. })) => {
+            // What was seen of it was seen the way it runs.
+            let none = match (&turned, &none) {
+                (
+                    StripeError::NoStripe { found: a, .. },
+                    StripeError::NoStripe { found: b, .. },
+                ) if a > b => turned,
+                _ => none,
+            };
             let squares = beside(on, off, &outline)
                 .or_else(|| beside(&on_turned, off_turned.as_ref(), &outline_turned));
             Err(squares.map_or(none, |squares| StripeError::Beside { squares }))

@@ -58,6 +58,16 @@ pub enum Axis {
     Rows,
 }
 
+impl Axis {
+    /// Unit vector along which the centre is measured.
+    pub fn across(self) -> Vector2 {
+        match self {
+            Self::Columns => Vector2::y(),
+            Self::Rows => Vector2::x(),
+        }
+    }
+}
+
 /// Why no stripe was measured.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StripeError {
@@ -88,7 +98,7 @@ pub enum StripeError {
     },
     /// No stripe was found.
     #[error(
-        "no stripe: {found} columns show one where at least {needed} should (laser off, too dim, or not on the target)"
+        "no stripe: {found} columns or rows show one where at least {needed} should (laser off, too dim, or not on the target)"
     )]
     NoStripe {
         /// Columns (or rows) with something like a stripe.

@@ -3,6 +3,7 @@
 use super::{Kind, Plot, Series, Under};
 use crate::report::model::StripeSample;
 use crate::report::raster::brightened;
+use crate::stripe::Axis;
 
 /// The centres over the piece of the frame that the sample holds, v downwards.
 pub fn centres(s: &StripeSample) -> Plot {
@@ -37,9 +38,13 @@ const POOR: f64 = 0.5;
 
 /// Standard deviation of the centre along the whole stripe, poor centres apart.
 pub fn quality(s: &StripeSample) -> Plot {
+    let (along, name) = match s.axis {
+        Axis::Columns => (0, "u"),
+        Axis::Rows => (1, "v"),
+    };
     let pick = |poor: bool| {
         let centres = s.centres.iter().filter(move |c| (c[3] < POOR) == poor);
-        centres.map(|c| (c[0], c[2])).collect::<Vec<_>>()
+        centres.map(|c| (c[along], c[2])).collect::<Vec<_>>()
     };
     let poor = pick(true);
     let mut series = vec![Series::new(
@@ -58,9 +63,30 @@ pub fn quality(s: &StripeSample) -> Plot {
     }
     Plot {
         title: format!("σ of the centre along the stripe at {:.1} mm", s.slide_mm),
-        x_label: "u / px".into(),
+        x_label: format!("{name} / px"),
         y_label: "σ / px".into(),
         series,
         ..Plot::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quality_runs_along_the_stripe() {
+        for (axis, label, at) in [
+            (Axis::Columns, "u / px", 30.0),
+            (Axis::Rows, "v / px", 70.0),
+        ] {
+            let plot = quality(&StripeSample {
+                axis,
+                centres: vec![[30.0, 70.0, 0.02, 1.0]],
+                ..StripeSample::default()
+            });
+            assert_eq!(plot.x_label, label);
+            assert_eq!(plot.series[0].points, [(at, 0.02)]);
+        }
     }
 }

@@ -8,6 +8,7 @@ use crate::pipeline::{Measurement, Stage, Times};
 use crate::report::model::{Gray, Picture, StripeSample};
 use crate::report::write::Outcome;
 use crate::session::{Session, SessionError};
+use crate::stripe::Axis;
 use crate::stripe::hand::{self, HandSettings, Surface};
 use rayon::prelude::*;
 
@@ -142,7 +143,8 @@ fn cut(image: &Image<u8>, mut drawn: Picture) -> Picture {
     drawn
 }
 
-/// The whole stripe of one scan frame, the middle one if not given.
+/// The whole stripe of one scan frame, the middle one if not given. No calibration is at hand to say
+/// which way it runs: the way along which more of it is found.
 ///
 /// # Errors
 /// An image that can't be read.
@@ -158,8 +160,13 @@ pub fn stripe_sample(
     };
     let ambient = ambient(session, &Times::default())?;
     let image = read(session, &frame.image)?;
-    let centres = centres(&image, ambient.as_ref());
-    Ok(whole(frame.slide_mm, &frame.image, &image, centres))
+    let along = |axis| (axis, centres(&image, ambient.as_ref(), axis));
+    let (columns, rows) = (along(Axis::Columns), along(Axis::Rows));
+    let found = match rows.1.len() > columns.1.len() {
+        true => rows,
+        false => columns,
+    };
+    Ok(whole(frame.slide_mm, &frame.image, &image, found))
 }
 
 /// The same stripe at the scale of its pixels, around its middle.
@@ -174,18 +181,21 @@ pub fn stripe_middle(
         whole.slide_mm,
         &whole.name,
         &image,
-        whole.centres.clone(),
+        (whole.axis, whole.centres.clone()),
         at,
     );
     Ok(piece.unwrap_or_default())
 }
+
+/// The stripe's axis and its centres.
+type Found = (Axis, Vec<[f64; 4]>);
 
 /// The part of the frame around the whole stripe, shown smaller where it is large.
 fn whole(
     slide_mm: f64,
     name: &str,
     image: &Image<u8>,
-    centres: Vec<[f64; 4]>,
+    (axis, centres): Found,
 ) -> Option<StripeSample> {
     const MARGIN: f64 = 12.0;
     const WIDEST: usize = 220;
@@ -199,7 +209,7 @@ fn whole(
         return None;
     }
     let (u, v) = (range(0, image.width()), range(1, image.height()));
-    let step = (u.1 - u.0).div_ceil(WIDEST).max(1);
+    let step = (u.1 - u.0).max(v.1 - v.0).div_ceil(WIDEST).max(1);
     // The brightest of a block: a stripe two pixels wide must not vanish.
     let block = |row: usize, column: usize| {
         let rows = row..(row + step).min(v.1);
@@ -215,6 +225,7 @@ fn whole(
     Some(StripeSample {
         name: name.to_owned(),
         slide_mm,
+        axis,
         image: Gray {
             width: columns.len(),
             height: rows.len(),
@@ -227,8 +238,12 @@ fn whole(
 }
 
 /// Centres on the hand: u, v, σ, quality. A frame without a stripe has none.
-fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
-    hand::extract(image, ambient, &HandSettings::default())
+fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>, axis: Axis) -> Vec<[f64; 4]> {
+    let settings = HandSettings {
+        axis,
+        ..HandSettings::default()
+    };
+    hand::extract(image, ambient, &settings)
         .unwrap_or_default()
         .iter()
         .filter(|s| s.surface == Surface::Hand)
@@ -244,12 +259,13 @@ fn centres(image: &Image<u8>, ambient: Option<&Image<u8>>) -> Vec<[f64; 4]> {
         .collect()
 }
 
-/// Pieces of three frames around the entry's column: the frame nearest to the entry (the middle one
-/// where nothing was measured) and one to either side.
+/// Pieces of three frames beside the entry: the frame nearest to it (the middle one where nothing was
+/// measured) and one to either side; the stripe is searched along `axis`.
 pub fn stripes(
     session: &Session,
     ambient: Option<&Image<u8>>,
     measured: Option<&Measurement>,
+    axis: Axis,
     times: &Times,
 ) -> Result<Vec<StripeSample>, SessionError> {
     let (Some(scan), Some(entry)) = (&session.manifest.scan, &session.manifest.entry) else {
@@ -271,9 +287,9 @@ pub fn stripes(
             return Ok(None);
         };
         let image = times.time(Stage::Read, || read(session, &frame.image))?;
-        let centres = centres(&image, ambient);
+        let found = (axis, centres(&image, ambient, axis));
         let (at, name) = (frame.slide_mm, &frame.image);
-        Ok(piece(at, name, &image, centres, entry.pixel))
+        Ok(piece(at, name, &image, found, entry.pixel))
     });
     let samples: Vec<Option<StripeSample>> = samples.collect::<Result<_, SessionError>>()?;
     Ok(samples.into_iter().flatten().collect())
@@ -284,7 +300,7 @@ fn piece(
     slide_mm: f64,
     name: &str,
     image: &Image<u8>,
-    centres: Vec<[f64; 4]>,
+    (axis, centres): Found,
     at: [f64; 2],
 ) -> Option<StripeSample> {
     let far = |c: &[f64; 4]| (c[0] - at[0]).hypot(c[1] - at[1]);
@@ -303,6 +319,7 @@ fn piece(
     Some(StripeSample {
         name: name.to_owned(),
         slide_mm,
+        axis,
         image: Gray {
             width: right.saturating_sub(left),
             height: bottom.saturating_sub(top),
