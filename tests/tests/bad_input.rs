@@ -243,6 +243,48 @@ fn swapped_images_are_named() {
     refused(&bad, &["swapped"]);
 }
 
+/// A sensor's noise in rows looks like a stripe in the image without the laser: one image says nothing
+/// of the recording, most of a pose do.
+#[test]
+fn one_image_with_a_dark_row_is_left_out_and_most_of_a_pose_are_swapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = recording();
+    let pose = &good.light[2];
+    let off = pose.off.as_ref().unwrap();
+    let session = Session::open(&committed("tiny-1001")).unwrap();
+    // The board without the laser, three rows in its middle darker.
+    let mut dark = session.luma::<u8>(off).unwrap();
+    let (width, middle) = (dark.width(), dark.height() / 2);
+    for row in middle - 1..middle + 2 {
+        for p in &mut dark.pixels_mut()[row * width..][..width] {
+            *p = p.saturating_sub(14);
+        }
+    }
+    let with = |images: std::ops::Range<usize>| {
+        let mut m = good.clone();
+        for i in images {
+            let path = folder.path().join(format!("dark_{i}.png"));
+            session::write_png(&path, &dark).unwrap();
+            m.light[2].on[i].image = path.display().to_string();
+        }
+        m
+    };
+    let of = pose.on.len();
+    refused(&with(1..of - 1), &["on and off are swapped"]);
+    let here = tempfile::tempdir().unwrap();
+    let text = serde_json::to_vec(&with(2..3)).unwrap();
+    std::fs::write(here.path().join("session.json"), text).unwrap();
+    let session = Session::open(here.path()).unwrap();
+    let calibrated = calibrate(&session, Method::Ml, &Times::default(), &Silent).unwrap();
+    let words = calibrated.warnings.join("\n");
+    assert!(
+        words.contains(
+            "dark_2.png: left out: no stripe, but something like one in the image without"
+        ),
+        "{words}"
+    );
+}
+
 #[test]
 fn an_image_without_the_laser_that_is_none_is_named() {
     // The laser was on in the ambient image; it shows another scene; so does a pose's dark image.

@@ -27,7 +27,18 @@ pub(super) struct Swept {
     /// The board, from the image without the laser or from all with it.
     pub seen: Seen,
     /// The stripes, in the order of session.json; empty without a board.
-    pub stripes: Vec<(String, f64, Result<Vec<StripePoint>, String>)>,
+    pub stripes: Vec<Stripe<String>>,
+}
+
+/// An image with the laser: its name, the slide's position, its stripe or why it has none.
+type Stripe<E> = (String, f64, Result<Vec<StripePoint>, E>);
+
+/// Why an image with the laser is no use.
+enum Unusable {
+    /// Its stripe seems to be in the image without the laser.
+    Swapped,
+    /// In words.
+    For(String),
 }
 
 /// What all images of the board are worked on with.
@@ -120,8 +131,8 @@ impl Looker<'_> {
                         self.progress.step();
                         Ok((frame.image.clone(), frame.slide_mm, points))
                     })
-                    .collect::<Result<_, PipelineError>>()?;
-                (stripes, stack)
+                    .collect::<Result<Vec<Stripe<Unusable>>, PipelineError>>()?;
+                (self.told(off, stripes)?, stack)
             }
         };
         let stack = stack.and_then(|stack| stack.into_inner().ok());
@@ -159,7 +170,8 @@ impl Looker<'_> {
                     Ok(found) => {
                         let on = laser.as_ref().unwrap_or(&luma);
                         let behind = self.behind(None, pixels(&found.corners));
-                        self.stripe(on, &behind, &frame.image)?
+                        let found = self.stripe(on, &behind, &frame.image)?;
+                        found.map_err(Unusable::words)
                     }
                     Err(reason) => Err(reason.to_string()),
                 };
@@ -209,6 +221,23 @@ impl Looker<'_> {
         }
     }
 
+    /// Two images are swapped where most of the pose say so: the sensor's noise, in rows, looks like
+    /// a stripe in one of a hundred.
+    fn told(
+        &self,
+        off: &str,
+        stripes: Vec<Stripe<Unusable>>,
+    ) -> Result<Vec<Stripe<String>>, PipelineError> {
+        let swapped = |s: &&Stripe<Unusable>| matches!(s.2, Err(Unusable::Swapped));
+        let agree = stripes.iter().filter(swapped).count();
+        if agree > 1 && 2 * agree > stripes.len() {
+            return Err(self.wrong(off, StripeError::Swapped));
+        }
+        let words =
+            |(name, at, found): Stripe<Unusable>| (name, at, found.map_err(Unusable::words));
+        Ok(stripes.into_iter().map(words).collect())
+    }
+
     fn wrong(&self, image: &str, source: StripeError) -> PipelineError {
         PipelineError::Stripe {
             path: self.session.path(image),
@@ -222,15 +251,14 @@ impl Looker<'_> {
         on: &Image<P>,
         behind: &Behind<P>,
         name: &str,
-    ) -> Result<Result<Vec<StripePoint>, String>, PipelineError> {
+    ) -> Result<Result<Vec<StripePoint>, Unusable>, PipelineError> {
         let (columns, rows) = (self.board.columns, self.board.rows);
         self.times.time(Stage::BoardStripe, || match behind {
             Behind::Ml(off, corners) => {
                 match stripe::board::extract(on, *off, corners, columns, rows) {
-                    Err(source @ (StripeError::Swapped | StripeError::Size { .. })) => {
-                        Err(self.wrong(name, source))
-                    }
-                    found => Ok(found.map_err(|e| e.to_string())),
+                    Err(source @ StripeError::Size { .. }) => Err(self.wrong(name, source)),
+                    Err(StripeError::Swapped) => Ok(Err(Unusable::Swapped)),
+                    found => Ok(found.map_err(|e| Unusable::For(e.to_string()))),
                 }
             }
             Behind::Paper(rectified) => {
@@ -239,9 +267,21 @@ impl Looker<'_> {
                     .as_ref()
                     .map_err(Clone::clone)
                     .and_then(|rectified| paper::extract(on, rectified, settings));
-                Ok(found.map_err(|e| e.to_string()))
+                Ok(found.map_err(|e| Unusable::For(e.to_string())))
             }
         })
+    }
+}
+
+impl Unusable {
+    fn words(self) -> String {
+        match self {
+            Self::Swapped => {
+                "no stripe, but something like one in the image without the laser (are the two swapped?)"
+                    .to_owned()
+            }
+            Self::For(reason) => reason,
+        }
     }
 }
 
