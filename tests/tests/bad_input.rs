@@ -414,6 +414,25 @@ fn a_board_that_moved_is_named() {
     refused(&bad, &["moved", "another scene"]);
 }
 
+/// Each list fits its steps; between them they do not: no frame is to blame.
+#[test]
+fn lists_that_count_from_different_ends_are_named() {
+    let mut bad = recording();
+    let frames = &mut bad.scan.as_mut().unwrap().frames;
+    frames
+        .iter_mut()
+        .for_each(|f| f.slide_mm = 60.0 - f.slide_mm);
+    let said = refused(&bad, &["\"light\" and \"scan\" disagree"]);
+    let last = "slide_steps 19200 is 0 mm in \"scan\"";
+    assert!(said.contains(last) && said.contains(", 60.000 mm by the frames of \"light\""));
+    // One frame of the scan: that one, though the poses' frames are many more.
+    let mut bad = recording();
+    let frame = &mut bad.scan.as_mut().unwrap().frames[5];
+    frame.slide_mm += 0.3;
+    let name = frame.image.clone();
+    refused(&bad, &[&format!("{name}: slide_mm")]);
+}
+
 #[test]
 fn positions_in_another_unit_are_named() {
     // Centimetres, metres, micrometres, inches, steps of the motor.

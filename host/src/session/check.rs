@@ -287,50 +287,101 @@ impl Checker<'_> {
                 },
             )?;
         }
-        self.steps(light.iter().chain(&scan).copied())
+        let pairs = |frames: &[&Frame]| -> Vec<(f64, f64, String)> {
+            let known = frames.iter().filter_map(|f| Some((f.slide_steps?, f)));
+            known
+                .map(|(steps, f)| (steps as f64, f.slide_mm, f.image.clone()))
+                .collect()
+        };
+        self.steps(pairs(&light), pairs(&scan))
     }
 
-    /// slide_mm must be one straight line over slide_steps, where both stand.
-    fn steps<'f>(&self, frames: impl Iterator<Item = &'f Frame>) -> Result<(), SessionError> {
-        let both: Vec<(f64, f64, &Frame)> = frames
-            .filter_map(|f| f.slide_steps.map(|s| (s as f64, f.slide_mm, f)))
-            .collect();
-        let (Some(low), Some(high)) = (
-            both.iter().min_by(|a, b| a.0.total_cmp(&b.0)),
-            both.iter().max_by(|a, b| a.0.total_cmp(&b.0)),
-        ) else {
+    /// slide_mm must be one straight line over slide_steps, where both stand. Where it is not, each list is
+    /// looked at for itself: the frame that is off its own list's line is named, or the two lists.
+    fn steps(&self, light: Steps, scan: Steps) -> Result<(), SessionError> {
+        let all: Steps = light.iter().chain(&scan).cloned().collect();
+        let Some((of_all, astray)) = fitted(&all) else {
             return Ok(());
         };
-        if high.0 == low.0 {
+        let Some(astray) = astray else {
             return Ok(());
-        }
-        // Theil–Sen's slope against the ends is enough: one wrong entry must not hide itself.
-        let mut slopes: Vec<f64> = both
-            .iter()
-            .flat_map(|p| [low, high].map(|q| (p.0 - q.0, p.1 - q.1)))
-            .filter(|(steps, _)| *steps != 0.0)
-            .map(|(steps, mm)| mm / steps)
-            .collect();
-        slopes.sort_by(f64::total_cmp);
-        let slope = slopes[slopes.len() / 2];
-        let mut offsets: Vec<f64> = both.iter().map(|p| p.1 - slope * p.0).collect();
-        offsets.sort_by(f64::total_cmp);
-        let offset = offsets[offsets.len() / 2];
-        let tolerance = STEP_TOLERANCE_MM.max(2.0 * slope.abs());
-        match both
-            .iter()
-            .find(|p| !((p.1 - slope * p.0 - offset).abs() <= tolerance))
-        {
-            None => Ok(()),
-            Some((steps, mm, frame)) => self.fail(
+        };
+        let frame = |line: Line, (steps, mm, image): &(f64, f64, String), by: &str| {
+            self.fail(
                 format!(
-                    "{}: slide_mm {mm} does not fit its slide_steps {steps} ({:.3} mm by the other frames)",
-                    frame.image,
-                    slope * steps + offset
+                    "{image}: slide_mm {mm} does not fit its slide_steps {steps} ({:.3} mm by {by})",
+                    line.at(*steps)
                 ),
                 "correct the position of that frame",
-            ),
+            )
+        };
+        let own = [&light, &scan].map(fitted);
+        for (line, astray) in own.iter().flatten() {
+            if let Some(astray) = astray {
+                return frame(*line, astray, "the other frames");
+            }
         }
+        let ((line, name), (others, other)) = match own {
+            [Some((line, _)), _] => ((line, "light"), (&scan, "scan")),
+            [None, Some((line, _))] => ((line, "scan"), (&light, "light")),
+            // One position in each.
+            [None, None] => return frame(of_all, astray, "the other frames"),
+        };
+        let off = |p: &&(f64, f64, String)| (p.1 - line.at(p.0)).abs();
+        let farthest = others.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
+        let Some((steps, mm, image)) = farthest else {
+            return Ok(());
+        };
+        self.fail(
+            format!(
+                "\"{name}\" and \"{other}\" disagree on where the slide stands: slide_steps {steps} is {mm} mm in \"{other}\" ({image}), {:.3} mm by the frames of \"{name}\"",
+                line.at(*steps)
+            ),
+            "correct slide_mm or slide_steps of one of them, or record both without homing in between",
+        )
+    }
+}
+
+/// The line of a list and the first of its frames that is off it; `None` where all stand at one place.
+fn fitted(list: &Steps) -> Option<(Line, Option<&(f64, f64, String)>)> {
+    let low = list.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let high = list.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    if high.0 == low.0 {
+        return None;
+    }
+    // Theil–Sen's slope against the ends is enough: one wrong entry must not hide itself.
+    let mut slopes: Vec<f64> = list
+        .iter()
+        .flat_map(|p| [low, high].map(|q| (p.0 - q.0, p.1 - q.1)))
+        .filter(|(steps, _)| *steps != 0.0)
+        .map(|(steps, mm)| mm / steps)
+        .collect();
+    slopes.sort_by(f64::total_cmp);
+    let slope = slopes[slopes.len() / 2];
+    let mut offsets: Vec<f64> = list.iter().map(|p| p.1 - slope * p.0).collect();
+    offsets.sort_by(f64::total_cmp);
+    let line = Line {
+        slope,
+        offset: offsets[offsets.len() / 2],
+    };
+    let tolerance = STEP_TOLERANCE_MM.max(2.0 * slope.abs());
+    let astray = |p: &&(f64, f64, String)| !((p.1 - line.at(p.0)).abs() <= tolerance);
+    Some((line, list.iter().find(astray)))
+}
+
+/// Steps, mm and image of frames.
+type Steps = Vec<(f64, f64, String)>;
+
+/// mm over steps.
+#[derive(Clone, Copy)]
+struct Line {
+    slope: f64,
+    offset: f64,
+}
+
+impl Line {
+    fn at(&self, steps: f64) -> f64 {
+        self.slope * steps + self.offset
     }
 }
 
