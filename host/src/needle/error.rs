@@ -25,6 +25,11 @@ pub enum NeedleError {
         /// To the nearest measured point, mm.
         distance_mm: f64,
     },
+    /// The entry pixel looks at the edge of the measured surface.
+    #[error(
+        "the entry pixel lies at the very edge of the measured surface, with nothing measured on one side of it; check entry.pixel, or scan farther"
+    )]
+    Edge,
     /// The region falls between the stripes.
     #[error(
         "no measured point lies within radius_mm = {radius_mm} mm of the entry, the nearest is {distance_mm:.1} mm away: give a larger radius_mm (12 is usual), or scan with smaller steps"
@@ -37,7 +42,8 @@ pub enum NeedleError {
     },
     /// The surface has a hole where the needle is to go in.
     #[error(
-        "the measured surface has a hole of {gap_mm:.1} mm at the entry (at most {limit_mm:.1} mm are bridged): scan again there, or choose another entry"
+        "the measured surface has a hole of {gap_mm:.n$} mm at the entry (at most {limit_mm:.n$} mm are bridged): scan again there, or choose another entry",
+        n = decimals(*gap_mm, *limit_mm, 1)
     )]
     Hole {
         /// Width of the hole, mm.
@@ -52,7 +58,8 @@ pub enum NeedleError {
     Broken,
     /// The light plane runs along the surface.
     #[error(
-        "light plane and surface meet at {angle_deg:.0}° only (at least {limit_deg:.0}° are needed): turn the hand, or check that the scan's slide_mm are millimetres"
+        "light plane and surface meet at {angle_deg:.n$}° only (at least {limit_deg:.n$}° are needed): turn the hand, or check that the scan's slide_mm are millimetres",
+        n = decimals(*angle_deg, *limit_deg, 0)
     )]
     Grazing {
         /// Angle between the two, degrees.
@@ -61,7 +68,12 @@ pub enum NeedleError {
         limit_deg: f64,
     },
     /// Too much of the region was not measured.
-    #[error("only {:.0} % of the entry region was measured ({:.0} % are needed): scan again, or choose an entry farther from the edge", 100.0 * coverage, 100.0 * needed)]
+    #[error(
+        "only {part:.n$} % of the entry region was measured ({least:.n$} % are needed): scan again, or choose an entry farther from the edge",
+        part = 100.0 * coverage,
+        least = 100.0 * needed,
+        n = decimals(100.0 * coverage, 100.0 * needed, 0)
+    )]
     NotCovered {
         /// Part covered.
         coverage: f64,
@@ -70,7 +82,8 @@ pub enum NeedleError {
     },
     /// The region is no plane.
     #[error(
-        "the entry region is not flat: {rms_mm:.2} mm root mean square off its plane (at most {limit_mm:.2} mm); choose another entry or a smaller radius_mm"
+        "the entry region is not flat: {rms_mm:.n$} mm root mean square off its plane (at most {limit_mm:.n$} mm); choose another entry or a smaller radius_mm",
+        n = decimals(*rms_mm, *limit_mm, 2)
     )]
     NotFlat {
         /// Root mean square distance, mm.
@@ -80,7 +93,10 @@ pub enum NeedleError {
     },
     /// Two frames between which the stripe did not follow the slide.
     #[error(
-        "from frame {} to frame {} the stripe moves {ratio:.2} times as far in the image as the slide's travel asks for ({least:.2} to {most:.2} is a surface's): a frame was lost or doubled, a position is wrong, the slide slipped or the hand moved; scan again", frames[0], frames[1]
+        "from frame {} to frame {} the stripe moves {ratio:.n$} times as far in the image as the slide's travel asks for ({least:.2} to {most:.2} is a surface's): a frame was lost or doubled, a position is wrong, the slide slipped or the hand moved; scan again",
+        frames[0],
+        frames[1],
+        n = decimals(*ratio, *least, 2).max(decimals(*ratio, *most, 2))
     )]
     OutOfStep {
         /// The frames, from 0.
@@ -94,7 +110,8 @@ pub enum NeedleError {
     },
     /// The vein is too short to have a direction.
     #[error(
-        "the vein's pixels span {length_mm:.1} mm on the surface (at least {least_mm:.1} mm are needed): give pixels farther apart along the vein"
+        "the vein's pixels span {length_mm:.n$} mm on the surface (at least {least_mm:.n$} mm are needed): give pixels farther apart along the vein",
+        n = decimals(*length_mm, *least_mm, 1)
     )]
     ShortVein {
         /// Length, mm.
@@ -104,7 +121,8 @@ pub enum NeedleError {
     },
     /// The camera looks along the surface.
     #[error(
-        "the camera sees the entry region at {angle_deg:.0}° from its normal (at most {limit_deg:.0}°): turn the hand towards the camera"
+        "the camera sees the entry region at {angle_deg:.n$}° from its normal (at most {limit_deg:.n$}°): turn the hand towards the camera",
+        n = decimals(*angle_deg, *limit_deg, 0)
     )]
     Oblique {
         /// Angle between normal and line of sight, degrees.
@@ -124,7 +142,9 @@ pub enum NeedleError {
     },
     /// The result would not be sure enough.
     #[error(
-        "the result is too uncertain: angle ±{angle_deg:.2}° (at most {angle_limit_deg:.2}°), entry ±{entry_mm:.2} mm (at most {entry_limit_mm:.2} mm); calibrate with more and more tilted board views"
+        "the result is too uncertain: angle ±{angle_deg:.n$}° (at most {angle_limit_deg:.n$}°), entry ±{entry_mm:.m$} mm (at most {entry_limit_mm:.m$} mm); calibrate with more and more tilted board views",
+        n = decimals(*angle_deg, *angle_limit_deg, 2),
+        m = decimals(*entry_mm, *entry_limit_mm, 2)
     )]
     TooUncertain {
         /// Standard deviation of the angle, degrees.
@@ -144,4 +164,55 @@ pub enum NeedleError {
     /// The points determine no plane.
     #[error("the points of the entry region lie on one line: they determine no plane")]
     Degenerate,
+}
+
+/// So many decimals, from `least`, that a number that breaks a limit does so as it is written.
+fn decimals(value: f64, limit: f64, least: usize) -> usize {
+    const MOST: usize = 6;
+    let apart = |n: &usize| format!("{value:.n$}") != format!("{limit:.n$}");
+    (least..MOST).find(apart).unwrap_or(least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The two numbers of a sentence, as a reader sees them.
+    fn numbers(e: &NeedleError) -> Vec<f64> {
+        let text = e.to_string();
+        let words = text.split(|c: char| !(c.is_ascii_digit() || c == '.'));
+        words.filter_map(|w| w.parse().ok()).collect()
+    }
+
+    #[test]
+    fn a_number_that_breaks_its_limit_is_seen_to() {
+        for coverage in [0.5, 0.894, 0.8996, 0.89999] {
+            let e = NeedleError::NotCovered {
+                coverage,
+                needed: 0.9,
+            };
+            let seen = numbers(&e);
+            assert!(seen[0] < seen[1] && seen[1] == 90.0, "{e}");
+        }
+        let e = NeedleError::NotFlat {
+            rms_mm: 1.0803,
+            limit_mm: 1.08,
+        };
+        assert!(e.to_string().contains("1.0803 mm root mean square"), "{e}");
+        let e = NeedleError::TooUncertain {
+            angle_deg: 0.3,
+            angle_limit_deg: 1.0,
+            entry_mm: 1.004,
+            entry_limit_mm: 1.0,
+        };
+        let seen = numbers(&e);
+        assert_eq!(seen, [0.3, 1.0, 1.004, 1.0], "{e}");
+        let e = NeedleError::OutOfStep {
+            frames: [3, 4],
+            ratio: 0.58,
+            least: 0.6,
+            most: 1.3,
+        };
+        assert!(e.to_string().contains("moves 0.58 times"), "{e}");
+    }
 }

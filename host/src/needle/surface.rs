@@ -328,6 +328,9 @@ impl Surface {
         if gap_mm.is_finite() && distance_mm <= self.gap {
             return NeedleError::Broken;
         }
+        if distance_mm <= self.gap {
+            return NeedleError::Edge;
+        }
         NeedleError::OffSurface { distance_mm }
     }
 

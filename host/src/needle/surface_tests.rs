@@ -99,6 +99,31 @@ fn an_entry_beside_the_hand_is_refused() {
     );
 }
 
+/// From well inside to beside the hand: at no place is the surface called away that is not.
+#[test]
+fn an_entry_at_the_edge_is_said_to_be_there() {
+    let (hand, rig, request) = scene(4);
+    let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
+    let mut at_edge = 0;
+    for px in 90..125 {
+        let mut request = request.clone();
+        request.pixel += Vector2::new(f64::from(px), 0.0);
+        match decide(&points, &rig, &request, &Settings::default()) {
+            Err(NeedleError::Edge) => at_edge += 1,
+            Err(NeedleError::OffSurface { distance_mm }) => {
+                assert!(distance_mm > 1.0, "{distance_mm}")
+            }
+            Err(
+                NeedleError::Broken
+                | NeedleError::NotCovered { .. }
+                | NeedleError::TooFewPoints { .. },
+            ) => {}
+            said => panic!("{px} px: {said:?}"),
+        }
+    }
+    assert!(at_edge > 0);
+}
+
 #[test]
 fn too_few_stripes_and_no_vein_are_refused() {
     let (hand, rig, mut request) = scene(5);
