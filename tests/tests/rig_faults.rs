@@ -11,14 +11,15 @@ use cannula::rig::open::{self, Opened};
 use cannula::rig::progress::{self, Part};
 use cannula::rig::recording::Recording;
 use cannula::rig::simulated::{Fate, SimulatedCamera};
-use cannula::simulation::mcu::{Pin, VirtualPipe};
+use cannula::simulation::mcu::{Damage, Pin, VirtualPipe};
 use cannula::simulation::{Renderer, Scene, Subject};
 use cannula_shared::hello::ResetReason;
-use cannula_shared::units::Steps;
+use cannula_shared::units::{Cycles, Micros, Steps};
 use cannula_tests::sweeps::{in_real_time, off_by_px, opened, rig, sweep};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
 /// Two single triggers tie the clocks together before each sweep.
@@ -226,6 +227,74 @@ fn a_reset_in_mid_scan_ends_it_with_the_laser_off() {
         panic!("{outcome:?}");
     };
     assert!(!pipe.board().level(Pin::Laser));
+}
+
+/// The program would go on for good: after a minute of the test's own time it is told to end.
+fn guarded<T>(run: impl FnOnce(&AtomicBool) -> T) -> T {
+    let cancel = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let (done, ended) = std::sync::mpsc::channel::<()>();
+        let cancel = &cancel;
+        scope.spawn(move || {
+            if ended.recv_timeout(Duration::from_secs(60)) == Err(RecvTimeoutError::Timeout) {
+                cancel.store(true, Ordering::Relaxed);
+            }
+        });
+        let outcome = run(cancel);
+        drop(done);
+        outcome
+    })
+}
+
+/// Both directions of the link swallow what they are given, from now on.
+fn cut(pipe: &VirtualPipe) {
+    let mut board = pipe.board();
+    board.damage_to_board(Damage::CUT);
+    board.damage_to_host(Damage::CUT);
+}
+
+/// The port still takes bytes, so nothing but the silence tells.
+#[test]
+fn a_board_that_falls_silent_ends_a_sweep_and_is_named() {
+    for mode in [Mode::Constant, Mode::Stop] {
+        for dead in [false, true] {
+            let rig = rig(mode);
+            let (mut opened, _stage) = opened(&rig);
+            let pipe = opened.virtual_board.clone().unwrap();
+            let mut since = 0;
+            let outcome = guarded(|cancel| {
+                let (board, camera) = (&opened.board, opened.camera.as_mut());
+                let mut acquisition = Acquisition::new(board, camera, &rig, cancel);
+                acquisition.expose(5.0).unwrap();
+                acquisition.sweep(&rig.scan_request(), &mut |shot| {
+                    if shot.index == 4 {
+                        since = pipe.board().now().0;
+                        if dead {
+                            pipe.board().kill_cpu();
+                        } else {
+                            cut(&pipe);
+                        }
+                    }
+                    Ok(())
+                })
+            });
+            let error = outcome.unwrap_err();
+            assert!(
+                matches!(error, AcquireError::Link(LinkError::Mute { .. })),
+                "{error}"
+            );
+            let said = error.to_string();
+            assert!(
+                said.starts_with("the motion board has said nothing for 4.")
+                    && said.contains("scanning"),
+                "{said}"
+            );
+            let after = Cycles(pipe.board().now().0 - since).to_micros_down();
+            assert!(after < Micros(5_000_000), "{after:?}");
+            drop(opened);
+            assert!(!pipe.board().level(Pin::Laser));
+        }
+    }
 }
 
 /// Ctrl-C, or a disk that fails, in the middle of a recorded scan.

@@ -21,6 +21,8 @@ use std::time::Duration;
 const GREETING: Micros = Micros(3_000_000);
 /// How long a reply may take: checking a long scan before it moves takes the board a second.
 const ANSWER: Micros = Micros(5_000_000);
+/// How long a stop that somebody waits for may take: a busy machine holds a terminal for half a second.
+const PROMPTLY: Micros = Micros(1_000_000);
 /// How long a board that is dropped is asked to stop: it stops by itself without a heartbeat.
 const FAREWELL: Micros = Micros(300_000);
 /// The longest that the lock is held while waiting for bytes.
@@ -289,9 +291,12 @@ impl Board {
         if silent < SILENCE {
             return Ok(());
         }
-        match self.status() {
+        match self.command_within(Command::Status, SILENCE) {
             Ok(_) => Ok(()),
-            Err(LinkError::Timeout { seconds, .. }) => Err(LinkError::Timeout { doing, seconds }),
+            Err(LinkError::Timeout { .. }) => Err(LinkError::Mute {
+                doing,
+                seconds: (silent.0 + SILENCE.0) as f64 * 1e-6,
+            }),
             Err(error) => Err(error),
         }
     }
@@ -401,6 +406,14 @@ impl Board {
     /// Ends what runs: laser off, no more triggers, down the ramp.
     pub fn stop(&self) -> Result<()> {
         self.done(Command::Stop)
+    }
+
+    /// As [`Self::stop`], but one short try: for who has no time to wait for a board that may not answer.
+    pub fn ask_to_stop(&self) -> Result<()> {
+        match self.command_within(Command::Stop, PROMPTLY)? {
+            Reply::Done => Ok(()),
+            reply => Err(LinkError::Unexpected(format!("{reply:?} to stopping"))),
+        }
     }
 
     /// Leaves a fault, if its cause is gone.

@@ -59,6 +59,16 @@ pub enum LinkError {
         /// How long.
         seconds: f64,
     },
+    /// A board that has work to do says nothing any more.
+    #[error(
+        "the motion board has said nothing for {seconds:.1} s while {doing}: it turns the laser off and stops by itself once it hears no host; look at the slide, then check the board's cable and power"
+    )]
+    Mute {
+        /// What it was to do.
+        doing: &'static str,
+        /// How long it was silent.
+        seconds: f64,
+    },
     /// The board refused a command.
     #[error("the motion board refused: {0}")]
     Refused(Refusal),

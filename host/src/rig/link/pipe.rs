@@ -150,6 +150,13 @@ impl Pipe for SerialPipe {
                 Err(e) if passing(&e) && began.elapsed() < STUCK => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
+                // "Resource temporarily unavailable" tells nobody what has happened.
+                Err(e) if passing(&e) => {
+                    return Err(io::Error::new(
+                        ErrorKind::TimedOut,
+                        "it takes no more bytes, so nobody reads at its other end",
+                    ));
+                }
                 Err(e) => return Err(e),
             }
         }
@@ -285,5 +292,33 @@ mod tests {
         drop(let_go);
         let failed = pipe.read(&mut buffer, Micros(60_000_000)).unwrap_err();
         assert_eq!(failed.kind(), ErrorKind::BrokenPipe);
+    }
+
+    /// A stopped board's terminal, once it is full.
+    struct Full;
+
+    impl Write for Full {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            Err(ErrorKind::WouldBlock.into())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_port_that_takes_nothing_is_said_in_words() {
+        let (open, held) = channel();
+        let mut pipe = SerialPipe::between(Held(held), Full).unwrap();
+        let began = Instant::now();
+        let said = LinkError::from(pipe.write(b"alive").unwrap_err()).to_string();
+        assert!(began.elapsed() >= STUCK);
+        assert!(
+            said.starts_with("the port to the motion board failed: it takes no more bytes"),
+            "{said}"
+        );
+        // The reader is let go before the pipe waits for it.
+        drop(open);
     }
 }

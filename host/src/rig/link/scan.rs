@@ -70,11 +70,14 @@ impl<'a> Scan<'a> {
                     return Ok(Some(Some(ScanEvent::Position(telemetry))));
                 }
                 Incoming::Event(event) => event,
-                Incoming::Nothing { .. } if self.board.now().since(began) >= wait => {
-                    return Ok(None);
-                }
                 Incoming::Nothing { silent } => {
-                    self.board.check_silence(silent, "scanning")?;
+                    // First: who waits in short slices would never come to it.
+                    self.board
+                        .check_silence(silent, "scanning")
+                        .inspect_err(|_| self.over = true)?;
+                    if self.board.now().since(began) >= wait {
+                        return Ok(None);
+                    }
                     continue;
                 }
             };
@@ -165,7 +168,7 @@ impl<'a> Scan<'a> {
 impl Drop for Scan<'_> {
     fn drop(&mut self) {
         if !self.over {
-            let _ = self.board.stop();
+            let _ = self.board.ask_to_stop();
         }
     }
 }
