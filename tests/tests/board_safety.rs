@@ -98,7 +98,7 @@ fn a_silent_host_ends_light_and_motion() {
         // Only an explicit re-arm and homing lead on.
         assert!(matches!(
             board.home().err(),
-            Some(LinkError::Refused(Refusal::NotNow { .. }))
+            Some(LinkError::InFault(Fault::HostSilent { .. }))
         ));
         board.rearm().expect("the cause is gone");
         board.home().expect("homes again");
@@ -234,7 +234,10 @@ fn emergency_stop_and_interlock_are_latched() {
     ));
     pipe.board().set_interlock(false);
     assert!(
-        matches!(board.laser(true).err(), Some(LinkError::Refused(_))),
+        matches!(
+            board.laser(true).err(),
+            Some(LinkError::InFault(Fault::Interlock))
+        ),
         "latched"
     );
     let status = board.status().expect("answers");

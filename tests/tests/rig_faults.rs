@@ -581,8 +581,11 @@ fn an_open_interlock_is_said_not_recorded_as_dark_frames() {
         .unwrap()
         .board()
         .set_interlock(true);
-    let outcome = sweep(&rig, &mut opened, &stage);
-    assert!(outcome.is_err(), "{outcome:?}");
+    let said = sweep(&rig, &mut opened, &stage).unwrap_err().to_string();
+    assert!(
+        said.contains("laser interlock open") && said.contains("rearm"),
+        "{said}"
+    );
 }
 
 /// A host that was killed leaves the slide in full motion; the next one comes at once.

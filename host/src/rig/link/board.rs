@@ -6,9 +6,10 @@ use super::pipe::{Pipe, SerialPipe};
 use super::scan::Scan;
 use super::session::{Counts, Session};
 use cannula_shared::config::Config;
+use cannula_shared::error::{Doing, Refusal};
 use cannula_shared::hello::{Hello, ResetReason};
 use cannula_shared::message::{
-    Command, Event, Outcome, Reply, ScanRequest, Status, Telemetry, Trigger,
+    Command, Event, Outcome, Reply, ScanRequest, State, Status, Telemetry, Trigger,
 };
 use cannula_shared::units::{Micros, Steps};
 use std::collections::VecDeque;
@@ -178,7 +179,18 @@ impl Board {
 
     /// Sends a command and waits for its reply.
     pub fn command(&self, command: Command) -> Result<Reply> {
-        self.command_within(command, ANSWER)
+        match self.command_within(command, ANSWER) {
+            // Which fault, the refusal does not say.
+            Err(LinkError::Refused(Refusal::NotNow {
+                doing: Doing::Fault,
+            })) => Err(match self.status()?.state {
+                State::Fault(fault) => LinkError::InFault(fault),
+                _ => LinkError::Refused(Refusal::NotNow {
+                    doing: Doing::Fault,
+                }),
+            }),
+            other => other,
+        }
     }
 
     fn command_within(&self, command: Command, limit: Micros) -> Result<Reply> {

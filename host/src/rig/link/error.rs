@@ -75,6 +75,9 @@ pub enum LinkError {
     /// The board is in fault.
     #[error("the motion board stopped: {0}")]
     Fault(Fault),
+    /// The board takes no command because of a fault of before.
+    #[error("the motion board is in fault ({0}): mend the cause, then `cannula motion rearm`")]
+    InFault(Fault),
     /// The job was stopped by command.
     #[error("stopped by command")]
     Stopped,
