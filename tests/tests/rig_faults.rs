@@ -3,7 +3,7 @@
 
 use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot};
 use cannula::rig::capture::{self, CaptureError, Step};
-use cannula::rig::config::{CameraKind, Mode, Rig};
+use cannula::rig::config::{CameraKind, Mode, Rig, TriggerSource};
 use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
 use cannula::rig::link::{Board, LinkError, ScanEvent};
 use cannula::rig::matching::Fault;
@@ -294,6 +294,47 @@ fn a_board_that_falls_silent_ends_a_sweep_and_is_named() {
             drop(opened);
             assert!(!pipe.board().level(Pin::Laser));
         }
+    }
+}
+
+/// Ctrl-C when the board does not answer: soon over, and nothing is said that nobody knows.
+#[test]
+fn ctrl_c_before_a_silent_board_does_not_say_that_the_laser_is_off() {
+    for trigger in [TriggerSource::Board, TriggerSource::Software] {
+        let mut rig = rig(Mode::Constant);
+        rig.camera.trigger = trigger;
+        let (mut opened, _stage) = opened(&rig);
+        let pipe = opened.virtual_board.clone().unwrap();
+        let cancel = AtomicBool::new(false);
+        let mut acquisition =
+            Acquisition::new(&opened.board, opened.camera.as_mut(), &rig, &cancel);
+        acquisition.expose(5.0).unwrap();
+        let mut since = 0;
+        let outcome = acquisition.sweep(&rig.scan_request(), &mut |shot| {
+            if shot.index == 4 {
+                since = pipe.board().now().0;
+                cut(&pipe);
+                cancel.store(true, Ordering::Relaxed);
+            }
+            Ok(())
+        });
+        let error = outcome.unwrap_err();
+        assert!(matches!(error, AcquireError::Unanswered(_)), "{error}");
+        let said = error.to_string();
+        assert!(
+            said.contains("interrupted, but the motion board does not say")
+                && said.contains("look at both")
+                && !said.contains("the laser is off and the slide stands;"),
+            "{said}"
+        );
+        drop(opened);
+        let after = Cycles(pipe.board().now().0 - since).to_micros_down();
+        assert!(after < Micros(3_000_000), "{trigger:?}: {after:?}");
+        // What it says of the board is so.
+        let mut board = pipe.board();
+        assert!(!board.level(Pin::Laser));
+        let off = board.trace().falls(Pin::Laser).last().unwrap_or(0);
+        assert!(off < since + Micros(300_000).to_cycles().0);
     }
 }
 

@@ -47,6 +47,11 @@ pub enum AcquireError {
     /// Ctrl-C.
     #[error("interrupted: the laser is off and the slide stands; what was recorded is whole")]
     Interrupted,
+    /// Ctrl-C, and what the board does nobody knows.
+    #[error(
+        "interrupted, but the motion board does not say that the laser is off and the slide stands ({0}): it turns the laser off and stops by itself within 0.3 s of the last word from this program; look at both before you reach in; what was recorded is whole"
+    )]
+    Unanswered(String),
     /// No frame comes.
     #[error(
         "{tries} triggers and no frame from the camera ({camera}): check the trigger cable, camera.trigger and camera.trigger_line"
@@ -168,7 +173,7 @@ impl Ledger for link::Scan<'_> {
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
-        link::Scan::stop(self)
+        self.abandon()
     }
 }
 
@@ -231,16 +236,18 @@ impl<'a> Acquisition<'a> {
 
     fn go_on(&self) -> Result<(), AcquireError> {
         if self.cancel.load(Ordering::Relaxed) {
-            self.stand();
-            return Err(AcquireError::Interrupted);
+            return Err(self.interrupted());
         }
         Ok(())
     }
 
-    /// Ends motion and laser, and waits until the slide stands. If that does not arrive, the lease does the same.
-    fn stand(&self) {
-        let _ = self.board.stop();
-        let _ = open::at_rest(self.board);
+    /// Ends motion and laser and waits until the slide stands; what can then be said.
+    fn interrupted(&self) -> AcquireError {
+        match open::stand(self.board) {
+            Ok(()) => AcquireError::Interrupted,
+            // The lease does the same, but nobody has seen it.
+            Err(why) => AcquireError::Unanswered(why.to_string()),
+        }
     }
 
     fn timeout(&self) -> Duration {
@@ -393,10 +400,10 @@ impl<'a> Acquisition<'a> {
         };
         let followed = follow.run(&mut scan, anchor, &mut make);
         drop(scan);
-        if matches!(followed, Err(AcquireError::Interrupted)) {
-            self.stand();
-        }
-        let (mut sweep, unpaired) = followed?;
+        let (mut sweep, unpaired) = match followed {
+            Err(AcquireError::Interrupted) => return Err(self.interrupted()),
+            other => other?,
+        };
         sweep.planned = request.count;
         let lost: Vec<u32> = unpaired.iter().map(|t| t.index).collect();
         if request.mode == ScanMode::StopAndShoot {

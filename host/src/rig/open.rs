@@ -206,9 +206,31 @@ const TO_REST: Micros = Micros(30_000_000);
 /// # Errors
 /// It still moves after half a minute, or the link fails.
 pub fn at_rest(board: &Board) -> Result<Status, OpenError> {
+    rest_asked(board, Board::status)
+}
+
+/// Has whatever runs stopped, the laser turned off, and waits until the slide stands; a board that does
+/// not answer is not asked twice.
+///
+/// # Errors
+/// It does not answer promptly, or [`at_rest`]'s.
+pub fn stand(board: &Board) -> Result<(), OpenError> {
+    board.ask_to_stop()?;
+    if rest_asked(board, Board::status_promptly)?.laser {
+        return Err(OpenError::Port(
+            "the motion board says that the laser is still on".into(),
+        ));
+    }
+    Ok(())
+}
+
+fn rest_asked(
+    board: &Board,
+    ask: impl Fn(&Board) -> link::Result<Status>,
+) -> Result<Status, OpenError> {
     let began = board.now();
     loop {
-        let status = board.status()?;
+        let status = ask(board)?;
         let busy = matches!(
             status.state,
             State::Stopping | State::Homing | State::Scanning

@@ -276,7 +276,7 @@ impl Board {
         loop {
             if !stopped && self.cancel.is_some_and(|c| c.load(Ordering::Relaxed)) {
                 stopped = true;
-                self.stop()?;
+                self.ask_to_stop()?;
             }
             match self.next(Micros(20_000))? {
                 Incoming::Event(Event::JobEnd {
@@ -325,7 +325,16 @@ impl Board {
 
     /// A look at the board.
     pub fn status(&self) -> Result<Status> {
-        match self.command(Command::Status)? {
+        self.status_within(ANSWER)
+    }
+
+    /// The same for who has no time to wait for a board that may not answer.
+    pub fn status_promptly(&self) -> Result<Status> {
+        self.status_within(PROMPTLY)
+    }
+
+    fn status_within(&self, limit: Micros) -> Result<Status> {
+        match self.command_within(Command::Status, limit)? {
             Reply::Status(status) => Ok(status),
             reply => Err(LinkError::Unexpected(format!(
                 "{reply:?} to a question for the status"

@@ -151,6 +151,12 @@ impl<'a> Scan<'a> {
         self.board.stop()
     }
 
+    /// Stops the scan, of which nothing more is wanted: one short try.
+    pub fn abandon(&mut self) -> Result<()> {
+        self.over = true;
+        self.board.ask_to_stop()
+    }
+
     /// Runs to the end; `each` sees every event.
     pub fn run(mut self, mut each: impl FnMut(&ScanEvent)) -> Result<ScanSummary> {
         while let Some(event) = self.next_event()? {
