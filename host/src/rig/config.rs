@@ -498,10 +498,25 @@ impl Rig {
                 &format!("{} to {} in that unit, given the other keys", e.min, e.max),
             );
         }
-        match plan::objection(self) {
-            Some(o) => fail(o.key, o.value, &o.wanted),
-            None => Ok(()),
+        if let Some(o) = plan::objection(self) {
+            return fail(o.key, o.value, &o.wanted);
         }
+        for (key, exposure) in [
+            ("camera.exposure_board_ms", self.camera.exposure_board_ms),
+            ("camera.exposure_laser_ms", self.camera.exposure_laser_ms),
+        ] {
+            let needed = exposure + self.camera.frame_time_ms;
+            if self.camera.timeout_ms < needed {
+                return fail(
+                    "camera.timeout_ms",
+                    self.camera.timeout_ms.to_string(),
+                    &format!(
+                        "at least {needed}: no frame comes sooner than {key} and camera.frame_time_ms after its trigger"
+                    ),
+                );
+            }
+        }
+        Ok(())
     }
 
     /// What a UVC camera can't do is refused rather than passed over.
@@ -586,9 +601,10 @@ impl Rig {
             spacing_um: micro(self.scan.spacing_mm),
             count: self.scan.count,
             speed_um_s: micro(self.scan.speed_mm_s),
-            mode: match self.scan.mode {
-                Mode::Stop => ScanMode::StopAndShoot,
-                Mode::Constant => ScanMode::Constant,
+            // For a camera that the board does not trigger the slide stops at each position.
+            mode: match (self.scan.mode, self.camera.trigger) {
+                (Mode::Constant, TriggerSource::Board) => ScanMode::Constant,
+                _ => ScanMode::StopAndShoot,
             },
             laser: ScanLaser::Timed,
         }

@@ -1,11 +1,11 @@
 //! Whether the motion board would take a configuration's sweeps: its own plan and its own check, made
 //! before anything moves, and what it objects to said with the key.
 
-use super::{Rig, TriggerSource};
+use super::Rig;
 use cannula_firmware::scan_plan::{ScanCheck, ScanPlan};
 use cannula_shared::config::Config as BoardConfig;
 use cannula_shared::error::Refusal;
-use cannula_shared::message::{ScanMode, ScanRequest};
+use cannula_shared::message::ScanRequest;
 use cannula_shared::units::Steps;
 
 /// What is wrong with a value.
@@ -42,11 +42,7 @@ pub(super) fn objection(rig: &Rig) -> Option<Objection> {
         count: ("scan.count", scan.count),
         speed: ("scan.speed_mm_s", scan.speed_mm_s),
     };
-    let mut request = rig.scan_request();
-    if rig.camera.trigger != TriggerSource::Board {
-        // The slide then stops at each position.
-        request.mode = ScanMode::StopAndShoot;
-    }
+    let request = rig.scan_request();
     [(of_light, rig.light_request()), (of_scan, request)]
         .into_iter()
         .find_map(|(keys, request)| {

@@ -130,6 +130,15 @@ fn what_is_wrong_is_said_with_its_key() {
             "[camera]\nframe_time_ms = 95.1\nexposure_laser_ms = 5.0",
             "scan.speed_mm_s is 20: give at most 19.980, or a shorter camera.exposure_laser_ms",
         ),
+        // No frame would ever come in time.
+        (
+            "[camera]\ntrigger = \"software\"\nexposure_laser_ms = 1000.0",
+            "camera.timeout_ms is 500: give at least 1020: no frame comes sooner than camera.exposure_laser_ms",
+        ),
+        (
+            "[camera]\nexposure_board_ms = 480.5",
+            "camera.timeout_ms is 500: give at least 500.5: no frame comes sooner than camera.exposure_board_ms",
+        ),
         ("[board\n", "line 1"),
     ] {
         let said = parse(text).unwrap_err().to_string();
@@ -146,7 +155,12 @@ fn what_just_fits_is_sound() {
     for text in [
         "[camera]\nframe_time_ms = 95.0\nexposure_laser_ms = 5.0",
         // Where it stops there is time for all of it.
-        "[camera]\nframe_time_ms = 500.0\nexposure_laser_ms = 50.0\n[scan]\nmode = \"stop\"",
+        "[camera]\nframe_time_ms = 500.0\nexposure_laser_ms = 50.0\ntimeout_ms = 550.0\n[scan]\nmode = \"stop\"",
+        "[camera]\nexposure_board_ms = 480.0",
+        // A camera that the board does not trigger is waited for at each position.
+        "[camera]\ntrigger = \"software\"\nexposure_laser_ms = 15.0",
+        "[camera]\ntrigger = \"free\"\nexposure_laser_ms = 20.0\nframe_time_ms = 200.0",
+        "[camera]\nkind = \"v4l\"\ndevice = \"x\"\ntrigger = \"free\"\nexposure_laser_ms = 20.0",
         "[scan]\nstart_mm = 10.0\nspeed_mm_s = 40.0",
         "[scan]\nstart_mm = 238.9",
     ] {
