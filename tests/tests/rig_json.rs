@@ -160,7 +160,9 @@ fn enough_is_what_calibrates() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     let (config, session, file) = (path("rig.toml"), path("s"), path("s/session.json"));
-    std::fs::write(&config, SMALL_RIG).unwrap();
+    // The simulated recording's slide.
+    let rig = SMALL_RIG.replace("[board]\n", "[board]\nsteps_per_mm = [320, 1]\n");
+    std::fs::write(&config, rig).unwrap();
     object(&["simulate", "--profile", "tiny", "--session", &session]);
     let mut manifest: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
     // Its four poses twice: the guide asks for six.

@@ -526,6 +526,41 @@ fn one_process_at_a_time_records_into_a_folder() {
     assert_eq!(status, Some(0), "{said}");
 }
 
+/// All frames would have been taken, and then refused.
+#[test]
+fn an_entry_that_can_not_be_is_refused_before_anything_moves() {
+    let bench = Bench::new();
+    let calibration = calibration(&bench);
+    let (out, file) = (bench.path("job"), bench.path("entry.json"));
+    for (entry, words) in [
+        (
+            r#"{"pixel":[160,120],"vein":[],"radius_mm":12}"#,
+            "entry.vein",
+        ),
+        (
+            r#"{"pixel":[160,120],"vein":[[150,130],[170,100]],"radius_mm":-1}"#,
+            "radius_mm",
+        ),
+        (
+            r#"{"pixel":[160,120],"vein":[[150,130],[150,130]],"radius_mm":12}"#,
+            "entry.vein",
+        ),
+        (
+            r#"{"pixel":[1600,120],"vein":[[150,130],[170,100]],"radius_mm":12}"#,
+            "entry.pixel",
+        ),
+    ] {
+        std::fs::write(&file, entry).unwrap();
+        let words_of_it = ["--calibration", &calibration, "--entry", &file];
+        let (status, said) = bench.run(&[&["scan", "--out", &out], &words_of_it[..]].concat());
+        assert_eq!(status, Some(1), "{said}");
+        assert!(said.contains(&file) && said.contains(words), "{said}");
+        let session = Path::new(&out).join("session");
+        assert!(!session.join("scan").exists() && !session.join("session.json").exists());
+    }
+    assert_eq!((bench.rises(Pin::Step), bench.rises(Pin::Trigger)), (0, 0));
+}
+
 #[test]
 fn words_without_effect_are_refused_and_a_given_entry_is_kept() {
     let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);

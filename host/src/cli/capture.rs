@@ -17,7 +17,7 @@ use crate::rig::open::{self, Opened};
 use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
 use crate::rig::simulated::Stage;
-use crate::session::{Entry, Manifest, Session, check};
+use crate::session::{Entry, Session};
 use crate::simulation::{Subject, Truth, mark};
 use serde_json::json;
 use std::path::PathBuf;
@@ -82,22 +82,13 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 impl EntryArgs {
-    /// The entry that they give, checked against the image.
-    fn entry(&self, recording: &Recording) -> anyhow::Result<Option<Entry>> {
-        let Some(pixel) = self.entry else {
-            return Ok(None);
-        };
-        let entry = Entry {
+    /// The entry that they give.
+    fn entry(&self) -> Option<Entry> {
+        self.entry.map(|pixel| Entry {
             pixel,
             vein: self.vein.clone(),
             radius_mm: self.radius,
-        };
-        let manifest = Manifest {
-            entry: Some(entry.clone()),
-            ..recording.manifest.clone()
-        };
-        check(&manifest, &recording.folder().join("session.json"))?;
-        Ok(Some(entry))
+        })
     }
 }
 
@@ -141,13 +132,13 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let geometry = rig.geometry();
     let mut recording = Recording::open(&common.out, size, &geometry)?;
     // Before anything moves.
-    let entry = match &args.what {
-        What::Scan(s) => {
-            recording.scan_folder(common.force)?;
-            s.entry.entry(&recording)?
+    if let What::Scan(s) = &args.what {
+        recording.scan_folder(common.force)?;
+        if let Some(entry) = s.entry.entry() {
+            let file = recording.folder().join("session.json");
+            recording.set_entry(entry, &file)?;
         }
-        What::Camera(_) | What::Light(_) => None,
-    };
+    }
     recording.bind(part, &rig, common.force)?;
     say_homed(open::ready(&opened.board, &rig)?, &rig, out);
     mark::lift(recording.folder())?;
@@ -280,12 +271,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             })
         }
         What::Scan(s) => {
-            let mut entry = entry.or(recording.manifest.entry.take());
             if let Some(stage) = &stage {
                 stage.show(&Subject::Hand);
-                entry = entry.or_else(|| Truth::new(stage.renderer().scene()).map(|t| t.entry));
+                let truth = || Truth::new(stage.renderer().scene()).map(|t| t.entry);
+                let given = recording.manifest.entry.take();
+                recording.manifest.entry = given.or_else(truth);
             }
-            recording.manifest.entry = entry;
             out.start("scan", rig.scan.count as usize);
             let scanned = capture::scan(
                 &mut acquisition,

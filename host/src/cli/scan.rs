@@ -93,12 +93,13 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         &rig.scan.positions(),
     )?;
     let mut recording = Recording::open(&folder, size, &rig.geometry())?;
-    recording.manifest.entry = Some(entry.clone());
+    let file = recording.folder().join("session.json");
+    let given = args.entry.as_deref().unwrap_or(&file);
+    recording.set_entry(entry.clone(), given)?;
     recording.scan_folder(args.force)?;
     recording.bind(Part::Scan, &rig, args.force)?;
     say_homed(open::ready(board, &rig)?, &rig, out);
     mark::lift(recording.folder())?;
-    let file = recording.folder().join("session.json");
     let mut live = Some(Live::new(model));
     let mut finished = None;
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);

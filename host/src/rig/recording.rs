@@ -8,7 +8,9 @@ use super::config::Rig;
 use super::progress::{self, Part, Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
-use crate::session::{self, BoardSpec, CameraView, Frame, LightPose, Manifest, Scan, SessionError};
+use crate::session::{
+    self, BoardSpec, CameraView, Entry, Frame, LightPose, Manifest, Scan, SessionError,
+};
 use std::path::{Path, PathBuf};
 
 /// Why a recording can't go on.
@@ -64,6 +66,22 @@ pub enum RecordingError {
         /// What it is.
         here: String,
     },
+    /// Another part's slide has other steps.
+    #[error("{path}: its part \"{part}\" is of a slide with another board.steps_per_mm: {image} lies at {there} mm after {steps} steps, which are {here:.3} mm now; set the ratio back to go on, or give another folder", path = path.display())]
+    Steps {
+        /// session.json.
+        path: PathBuf,
+        /// The part.
+        part: &'static str,
+        /// Its image that shows it best.
+        image: String,
+        /// Its slide_steps.
+        steps: i64,
+        /// Its slide_mm.
+        there: f64,
+        /// What the steps are with the ratio that is set, mm.
+        here: f64,
+    },
     /// What is before the camera is not what was when a scan was broken off.
     #[error("{path}: the scene has changed since this scan was broken off ({percent:.1} % of the image differ): the hand or its light has moved; --force to record it anew", path = path.display())]
     Changed {
@@ -81,6 +99,9 @@ pub enum RecordingError {
     #[error("the writer could not be started: {0}")]
     Thread(std::io::Error),
 }
+
+/// Farther than this a frame's slide_mm does not lie from its steps, mm (as `session::check` has it).
+const STEPS_APART_MM: f64 = 0.05;
 
 /// For session.json.
 fn now() -> String {
@@ -152,10 +173,12 @@ impl Recording {
 
     /// Binds a part to the settings that it is recorded with: those that stand must be the same, of
     /// this part all (unless it is recorded anew with `force`), of the others what makes one rig.
-    /// A part whose settings are not known (an older recording) binds nothing.
+    /// Of a part whose settings are not known (an older recording, another program's) the slide's steps
+    /// bind, where the frames have them. What the part is going to be is then checked as a whole, before
+    /// anything moves: after the sweep it would be too late.
     ///
     /// # Errors
-    /// Another setting, named.
+    /// Another setting, named; a recording that could not be written.
     pub fn bind(&mut self, part: Part, rig: &Rig, force: bool) -> Result<(), RecordingError> {
         let path = || self.folder.join("session.json");
         let now = progress::settings(rig, part);
@@ -187,6 +210,7 @@ impl Recording {
                 }
             }
         }
+        self.rehearse(part, rig, force)?;
         // Images of which nobody knows are not said to be of these settings.
         let unknown = self.holds(part)
             && !force
@@ -195,6 +219,80 @@ impl Recording {
             let known = &mut self.manifest.recorded.settings;
             known.insert(part.name().to_owned(), now);
         }
+        Ok(())
+    }
+
+    /// Checks the recording as it will be with this part.
+    fn rehearse(&self, part: Part, rig: &Rig, force: bool) -> Result<(), RecordingError> {
+        let request = match part {
+            Part::Camera => return Ok(()),
+            Part::Light => rig.light_request(),
+            Part::Scan => rig.scan_request(),
+        };
+        let mut all = self.manifest.clone();
+        if part == Part::Scan {
+            all.scan = None;
+        } else if force {
+            all.light.clear();
+        }
+        let path = self.folder.join("session.json");
+        let light = all.light.iter().flat_map(|pose| &pose.on);
+        let scan = all.scan.iter().flat_map(|scan| &scan.frames);
+        let stands = light
+            .map(|f| (Part::Light, f))
+            .chain(scan.map(|f| (Part::Scan, f)));
+        let off = |f: &Frame| {
+            f.slide_steps
+                .map_or(0.0, |steps| (f.slide_mm - rig.mm(steps)).abs())
+        };
+        if let Some((part, frame)) = stands.max_by(|a, b| off(a.1).total_cmp(&off(b.1)))
+            && off(frame) > STEPS_APART_MM.max(2.0 * rig.mm(1))
+            && let Some(steps) = frame.slide_steps
+        {
+            return Err(RecordingError::Steps {
+                path,
+                part: part.name(),
+                image: frame.image.clone(),
+                steps,
+                there: frame.slide_mm,
+                here: rig.mm(steps),
+            });
+        }
+        let planned = (0..request.count).map(|k| {
+            let mm =
+                1e-3 * (f64::from(request.start_um) + f64::from(request.spacing_um) * f64::from(k));
+            let steps = (mm / rig.mm(1)).round() as i64;
+            Frame {
+                slide_mm: rig.mm(steps),
+                slide_steps: Some(steps),
+                trigger_us: None,
+                image: format!("{} {k} to be", part.name()),
+            }
+        });
+        let (off, frames) = (None, planned.collect());
+        match part {
+            Part::Scan => {
+                all.scan = Some(Scan {
+                    ambient: None,
+                    frames,
+                })
+            }
+            _ => all.light.push(LightPose { off, on: frames }),
+        }
+        Ok(session::check(&all, &path)?)
+    }
+
+    /// Sets the entry, checked against the image; `given` is the file that it comes from.
+    ///
+    /// # Errors
+    /// It can't be.
+    pub fn set_entry(&mut self, entry: Entry, given: &Path) -> Result<(), RecordingError> {
+        let manifest = Manifest {
+            entry: Some(entry),
+            ..self.manifest.clone()
+        };
+        session::check(&manifest, given)?;
+        self.manifest = manifest;
         Ok(())
     }
 
@@ -458,5 +556,38 @@ mod tests {
             };
             assert!(e.to_string().contains("give another folder"), "{e}");
         }
+    }
+
+    /// Another program's recording, or the simulation's: 320 steps a millimetre, and no settings.
+    #[test]
+    fn what_would_not_go_with_the_rest_is_said_before_it_is_recorded() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        let on = (0..13).map(|k| Frame {
+            slide_mm: 5.0 * f64::from(k),
+            slide_steps: Some(1600 * i64::from(k)),
+            trigger_us: None,
+            image: format!("light/00/on_{k:02}.png"),
+        });
+        r.add_light(None, on.collect()).unwrap();
+        let mut rig = Rig::default();
+        for part in [Part::Light, Part::Scan] {
+            let said = r.bind(part, &rig, false).unwrap_err().to_string();
+            let words = "its part \"light\" is of a slide with another board.steps_per_mm: light/00/on_12.png lies at 60 mm after 19200 steps, which are 24.000 mm now";
+            assert!(said.contains(words), "{said}");
+            assert!(!r.manifest.recorded.settings.contains_key(part.name()));
+        }
+        // Board poses for the camera have no slide, and what is recorded anew need not go with what stood.
+        r.bind(Part::Camera, &rig, false).unwrap();
+        let mut anew = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        anew.bind(Part::Light, &rig, true).unwrap();
+        rig.board.steps_per_mm = [320, 1];
+        for part in [Part::Light, Part::Scan] {
+            r.bind(part, &rig, false).unwrap();
+        }
+        // Far beyond where the light planes were measured.
+        (rig.scan.start_mm, rig.scan.spacing_mm) = (130.0, 2.0);
+        let said = r.bind(Part::Scan, &rig, false).unwrap_err().to_string();
+        assert!(said.contains("the scan runs from 130 to 190 mm"), "{said}");
     }
 }
