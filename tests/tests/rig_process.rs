@@ -4,6 +4,7 @@
 
 use cannula::rig::config::Rig;
 use cannula::rig::link::Board;
+use cannula::rig::lock::Lock;
 use cannula::rig::open;
 use cannula::simulation::mcu::{Pin, RealTime};
 use cannula_shared::units::CYCLES_PER_MICRO;
@@ -559,6 +560,46 @@ fn an_entry_that_can_not_be_is_refused_before_anything_moves() {
         assert!(!session.join("scan").exists() && !session.join("session.json").exists());
     }
     assert_eq!((bench.rises(Pin::Step), bench.rises(Pin::Trigger)), (0, 0));
+}
+
+/// Whatever writes a recording keeps others out of its folder, and lets a refused one be as it was.
+#[test]
+fn every_command_that_records_takes_the_lock() {
+    let bench = Bench::new();
+    let calibration = calibration(&bench);
+    let out = bench.path("job");
+    let session = Path::new(&out).join("session");
+    let recording = session.to_str().unwrap();
+    let held = Lock::take(&session).unwrap();
+    let fired = bench.rises(Pin::Trigger);
+    let demo = ["demo", "--out", &out, "--profile", "tiny"];
+    let simulate = ["simulate", "--session", recording, "--profile", "tiny"];
+    let scan = ["scan", "--out", &out, "--calibration", &calibration];
+    for words in [&demo[..], &[&demo[..], &["--force"]].concat(), &simulate] {
+        let (status, said) = program::run(words);
+        assert_eq!(status, Some(1), "{words:?}: {said}");
+        assert!(said.contains("another cannula process"), "{said}");
+    }
+    let (status, said) = bench.run(&scan);
+    assert_eq!(status, Some(1), "{said}");
+    assert!(said.contains("another cannula process"), "{said}");
+    assert_eq!(bench.rises(Pin::Trigger), fired);
+    assert_eq!(std::fs::read_dir(&session).unwrap().count(), 1, "the lock");
+    drop(held);
+    // Its remains are in nobody's way, and what is replaced stays locked meanwhile.
+    for force in [&[][..], &["--force"]] {
+        let (status, said) = program::run(&[&simulate[..], force].concat());
+        assert_eq!(status, Some(0), "{said}");
+        assert!(session.join(".lock").exists());
+        whole_simulation(&session);
+    }
+}
+
+fn whole_simulation(session: &Path) {
+    let session = cannula::session::Session::open(session).unwrap();
+    for frame in &session.manifest.scan.as_ref().unwrap().frames {
+        assert!(session.path(&frame.image).exists());
+    }
 }
 
 #[test]

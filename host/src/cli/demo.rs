@@ -16,6 +16,7 @@ use crate::rig::capture::{LightOutcome, PoseOutcome, Step, camera_pose, light_po
 use crate::rig::config::Rig;
 use crate::rig::guide::Guide;
 use crate::rig::light_guide::LightGuide;
+use crate::rig::lock::Lock;
 use crate::rig::open::{self, SIMULATED};
 use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
@@ -62,15 +63,26 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let begun = Instant::now();
     let folder = args.out.join("session");
     let results = RESULTS.map(|name| args.out.join(name));
-    let stands = std::iter::once(&folder)
-        .chain(&results)
-        .find(|p| p.exists());
-    if let Some(path) = stands {
+    let replace = || {
+        let stands = match mark::used(&folder) {
+            true => Some(&folder),
+            false => results.iter().find(|p| p.exists()),
+        };
+        let Some(path) = stands else {
+            return Ok(false);
+        };
         anyhow::ensure!(
             args.force,
             "{}: stands there; give another folder, or --force to replace a demo",
             path.display()
         );
+        mark::clearable(&folder, &results)?;
+        Ok(true)
+    };
+    // Where nothing is to be written, not even a lock; and what stands once it is taken counts.
+    replace()?;
+    let _lock = Lock::take(&folder)?;
+    if replace()? {
         mark::clear(&folder, &results)?;
     }
     let rig = demo_rig(&args);

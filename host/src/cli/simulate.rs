@@ -3,6 +3,7 @@
 
 use super::rig::{RigArgs, interrupted};
 use super::{BadArgument, Output};
+use crate::rig::lock::Lock;
 use crate::rig::open::simulated_board;
 use crate::simulation::{Profile, mark, record};
 use std::path::{Path, PathBuf};
@@ -44,12 +45,22 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
 
 fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
     let file = folder.join("session.json");
-    if let Some(part) = mark::stands(folder) {
+    let replace = || {
+        let Some(part) = mark::stands(folder) else {
+            return Ok(false);
+        };
         anyhow::ensure!(
             args.force,
             "{}: stands there; give another folder, or --force to replace a simulated recording",
             part.display()
         );
+        mark::clearable(folder, &[])?;
+        Ok(true)
+    };
+    // Where nothing is to be written, not even a lock; and what stands once it is taken counts.
+    replace()?;
+    let _lock = Lock::take(folder)?;
+    if replace()? {
         mark::clear(folder, &[])?;
     }
     mark::begin(folder)?;

@@ -108,11 +108,54 @@ pub fn stands(session: &Path) -> Option<PathBuf> {
     parts.find(|part| part.symlink_metadata().is_ok())
 }
 
-/// Removes a simulation's recording and the results beside it.
+/// Whether there is anything at all in `session`, but for the lock of who records there.
+pub fn used(session: &Path) -> bool {
+    match std::fs::read_dir(session) {
+        Ok(entries) => entries
+            .into_iter()
+            .any(|entry| !entry.is_ok_and(|entry| entry.file_name() == lock::FILE)),
+        Err(e) => e.kind() != ErrorKind::NotFound,
+    }
+}
+
+/// Removes a simulation's recording and the results beside it (and not the lock of who records there).
 ///
 /// # Errors
 /// Anything there was not written by a simulation (nothing is then removed); the disk.
 pub fn clear(session: &Path, results: &[PathBuf]) -> Result<(), MarkError> {
+    for path in clearable(session, results)? {
+        std::fs::remove_file(path).map_err(failed(path))?;
+    }
+    let entries = match std::fs::read_dir(session) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(failed(session))?,
+    };
+    for entry in entries {
+        let path = entry.map_err(failed(session))?.path();
+        let removed = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else if path.ends_with(lock::FILE) {
+            // Whoever clears may hold it; another process must not lock a file of its own.
+            Ok(())
+        } else {
+            std::fs::remove_file(&path)
+        };
+        removed.map_err(failed(&path))?;
+    }
+    match std::fs::remove_dir(session) {
+        Err(e) if e.kind() != ErrorKind::DirectoryNotEmpty => Err(failed(session)(e)),
+        _ => Ok(()),
+    }
+}
+
+/// Whether [`clear`] would remove everything: the results that stand.
+///
+/// # Errors
+/// Anything there was not written by a simulation; the disk.
+pub fn clearable<'r>(
+    session: &Path,
+    results: &'r [PathBuf],
+) -> Result<Vec<&'r PathBuf>, MarkError> {
     let mark = read(session)?;
     let mine = |path: &Path| {
         let known = mark.as_ref().map(|mark| &mark.results);
@@ -125,7 +168,7 @@ pub fn clear(session: &Path, results: &[PathBuf]) -> Result<(), MarkError> {
             }
         })
     };
-    if session.symlink_metadata().is_ok() {
+    if session.symlink_metadata().is_ok() && used(session) {
         if mark.is_none() {
             return Err(MarkError::Foreign(session.to_owned()));
         }
@@ -140,13 +183,7 @@ pub fn clear(session: &Path, results: &[PathBuf]) -> Result<(), MarkError> {
             return Err(MarkError::Foreign(path.clone()));
         }
     }
-    for path in stands {
-        std::fs::remove_file(path).map_err(failed(path))?;
-    }
-    match std::fs::remove_dir_all(session) {
-        Err(e) if e.kind() != ErrorKind::NotFound => Err(failed(session)(e)),
-        _ => Ok(()),
-    }
+    Ok(stands)
 }
 
 fn read(session: &Path) -> Result<Option<Mark>, MarkError> {
@@ -276,8 +313,16 @@ mod tests {
         std::fs::write(&results[1], "came later").unwrap();
         refused(&session, &results, &results[1]);
         std::fs::remove_file(&results[1]).unwrap();
+        std::fs::write(session.join(lock::FILE), "").unwrap();
+        assert!(used(&session));
         clear(&session, &results).unwrap();
-        assert!(files(dir.path()).is_empty());
+        assert!(!used(&session));
+        assert_eq!(
+            files(dir.path()),
+            [session.clone(), session.join(lock::FILE)]
+        );
+        std::fs::remove_dir_all(&session).unwrap();
+        assert!(!used(&session));
 
         // Something else was recorded into it.
         simulated();
