@@ -563,6 +563,63 @@ fn another_rig_or_scene_does_not_go_on_with_a_scan() {
     }
 }
 
+/// A scan that is recorded anew and broken off goes on, if it is the same scan; the one that stood is
+/// named until then.
+#[test]
+fn a_scan_anew_that_was_broken_off_goes_on() {
+    let rig = rig(Mode::Stop);
+    let (mut opened, stage) = opened(&rig);
+    let dir = tempfile::tempdir().unwrap();
+    let mut recording = Recording::open(dir.path(), opened.camera.size(), &rig.geometry()).unwrap();
+    let cancel = AtomicBool::new(false);
+    let mut run = |rig: &Rig, force: bool, until: u32| {
+        cancel.store(false, Ordering::Relaxed);
+        let mut acquisition = Acquisition::new(&opened.board, opened.camera.as_mut(), rig, &cancel);
+        capture::scan(&mut acquisition, rig, &mut recording, force, &mut |step| {
+            if matches!(step, Step::Shot(s) if s.index == until) {
+                cancel.store(true, Ordering::Relaxed);
+            }
+            Ok(())
+        })
+    };
+    let images = |folder: &str| bytes(&dir.path().join(folder));
+    run(&rig, true, 99).unwrap();
+    let first = images("scan");
+    assert!(run(&rig, true, 5).is_err());
+    let begun = images("scan_1");
+    // With the same settings before the same scene.
+    let scanned = run(&rig, true, 99).unwrap();
+    assert!(
+        scanned.stood >= 5 && scanned.sweep.shots == 12,
+        "{scanned:?}"
+    );
+    for (path, image) in begun {
+        if path.extension().is_some_and(|e| e == "png") {
+            assert_eq!(std::fs::read(&path).unwrap(), image, "{}", path.display());
+        }
+    }
+    assert_eq!(images("scan"), first);
+    let named = || {
+        let session = cannula::session::Session::open(dir.path()).unwrap();
+        session.manifest.scan.unwrap().frames[0].image.clone()
+    };
+    assert_eq!(named(), "scan_1/000.png");
+
+    // With other settings, or before another scene, what was begun is thrown away, and never refused.
+    let mut other = rig.clone();
+    other.scan.count = 11;
+    assert!(run(&rig, true, 5).is_err());
+    let scanned = run(&other, true, 99).unwrap();
+    assert_eq!((scanned.stood, scanned.sweep.shots), (0, 11));
+    assert_eq!(named(), "scan_2/000.png");
+    assert!(run(&rig, true, 5).is_err());
+    stage.show(&Subject::Board(stage.renderer().scene().camera_poses[0]));
+    let scanned = run(&rig, true, 99).unwrap();
+    assert_eq!((scanned.stood, scanned.sweep.shots), (0, 12));
+    assert_eq!(named(), "scan_3/000.png");
+    assert_eq!(images("scan_3").len(), 13, "twelve and the ambient one");
+}
+
 /// A power cut leaves files without their content: those positions are visited again, the others not.
 #[test]
 fn images_that_cannot_be_read_are_taken_again() {

@@ -97,7 +97,8 @@ struct Common {
     /// The recording: a folder, made if it is not there.
     #[arg(long, value_name = "SESSION")]
     out: PathBuf,
-    /// Record this part anew, if it stands there.
+    /// Record this part anew, if it stands there. (A scan anew that was broken off goes on where it was,
+    /// if settings and scene are the same.)
     #[arg(long)]
     force: bool,
 }

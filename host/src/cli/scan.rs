@@ -34,7 +34,8 @@ pub struct Args {
     /// "entry" object of a session.json, or a session.json.
     #[arg(long, value_name = "FILE")]
     entry: Option<PathBuf>,
-    /// Record anew, if a scan stands there.
+    /// Record anew, if a scan stands there. (One that was broken off while it was recorded anew goes on
+    /// where it was, if settings and scene are the same.)
     #[arg(long)]
     force: bool,
     #[command(flatten)]

@@ -12,7 +12,7 @@ use crate::board::{self, BoardGeometry, Detection, NotFound};
 use crate::image::{Image, Pixel};
 use crate::session::Frame;
 use cannula_shared::message::ScanRequest;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Why a step of a recording failed.
@@ -209,24 +209,30 @@ pub fn scan(
     force: bool,
     live: &mut Live,
 ) -> Result<Scanned, CaptureError> {
-    let (folder, mut progress) =
-        recording.begin_scan(force, progress::settings(rig, Part::Scan))?;
-    let mut frames: Vec<Frame> = progress.frames().iter().map(|(_, f)| f.clone()).collect();
-    let stood = frames.len();
+    let settings = || progress::settings(rig, Part::Scan);
+    let (mut folder, mut progress) = recording.begin_scan(force, settings())?;
     acquisition.expose(rig.camera.exposure_laser_ms)?;
-    if stood > 0 {
+    if !progress.frames().is_empty() {
         // Steps count from the switch, and who knows what the slide has been through.
         acquisition.home()?;
     }
-    let ambient = format!("{folder}/ambient.png");
     let ambient_picture = acquisition.still(0, false)?.picture;
-    if stood > 0 {
-        let path = recording.path(&ambient);
-        let then = folder::read(&path).map_err(|e| RecordingError::NoScene(e.to_string()))?;
-        let percent = 100.0 * changed(&then, &ambient_picture);
-        if percent > CHANGED_PERCENT {
-            return Err(RecordingError::Changed { path, percent }.into());
+    let mut then = None;
+    if !progress.frames().is_empty() {
+        match same_scene(&recording.path(&ambient(&folder)), &ambient_picture) {
+            Ok(picture) => then = Some(picture),
+            // To be recorded anew in any case: so also what was to replace it.
+            Err(_) if force => {
+                progress.discard()?;
+                (folder, progress) = recording.begin_scan(force, settings())?;
+            }
+            Err(e) => return Err(e.into()),
         }
+    }
+    let ambient = ambient(&folder);
+    let mut frames: Vec<Frame> = progress.frames().iter().map(|(_, f)| f.clone()).collect();
+    let stood = frames.len();
+    if let Some(then) = then {
         live(Step::Ambient(&then))?;
         for (index, frame) in progress.frames() {
             let picture =
@@ -280,6 +286,21 @@ pub fn scan(
         waited: written.waited,
         session: recording.folder().join("session.json"),
     })
+}
+
+fn ambient(folder: &str) -> String {
+    format!("{folder}/ambient.png")
+}
+
+/// The image without laser of a scan that was broken off, if the scene still is what it shows.
+fn same_scene(path: &Path, now: &Picture) -> Result<Picture, RecordingError> {
+    let then = folder::read(path).map_err(|e| RecordingError::NoScene(e.to_string()))?;
+    let percent = 100.0 * changed(&then, now);
+    if percent > CHANGED_PERCENT {
+        let path = path.to_owned();
+        return Err(RecordingError::Changed { path, percent });
+    }
+    Ok(then)
 }
 
 /// What is missing of a scan: gaps one by one, then the rest of the way as a sweep of its own. (A plan's

@@ -172,6 +172,11 @@ impl Progress {
         Ok(begun)
     }
 
+    /// Whether the sweep was begun with these settings.
+    pub fn is_of(&self, settings: &Settings) -> bool {
+        differs(&self.settings, settings).is_none()
+    }
+
     /// Goes on with a sweep that was found.
     ///
     /// # Errors

@@ -409,6 +409,8 @@ impl Recording {
     }
 
     /// Begins a scan, or goes on with one that was broken off: its folder (relative) and what stands.
+    /// With `force` it goes on only with one that was itself to replace a scan, with the same settings;
+    /// any other that was broken off is thrown away.
     ///
     /// # Errors
     /// A scan stands there and `force` is not given, or one that was broken off was begun with other
@@ -418,7 +420,7 @@ impl Recording {
         force: bool,
         settings: Settings,
     ) -> Result<(String, Progress), RecordingError> {
-        let name = self.scan_folder(force)?;
+        self.scan_folder(force)?;
         for i in 0.. {
             let left = scan_name(i);
             let folder = self.path(&left);
@@ -436,18 +438,14 @@ impl Recording {
             if self.manifest.scan.as_ref().is_some_and(named) {
                 // Complete, but for taking the file away.
                 found.finish()?;
-            } else if force {
+            } else if force && !(self.manifest.scan.is_some() && found.is_of(&settings)) {
                 found.discard()?;
             } else {
                 return Ok((left, found.go_on(settings)?));
             }
         }
-        // What was thrown away has left a name.
-        let name = if self.path(&name).exists() {
-            fresh(&self.folder, scan_name, 0)
-        } else {
-            name
-        };
+        // What was thrown away has left a name; a gap before it would hide a scan that is broken off later.
+        let name = fresh(&self.folder, scan_name, 0);
         let progress = Progress::begin(&self.path(&name), settings)?;
         Ok((name, progress))
     }
