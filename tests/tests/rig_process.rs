@@ -527,41 +527,6 @@ fn one_process_at_a_time_records_into_a_folder() {
     assert_eq!(status, Some(0), "{said}");
 }
 
-/// All frames would have been taken, and then refused.
-#[test]
-fn an_entry_that_can_not_be_is_refused_before_anything_moves() {
-    let bench = Bench::new();
-    let calibration = calibration(&bench);
-    let (out, file) = (bench.path("job"), bench.path("entry.json"));
-    for (entry, words) in [
-        (
-            r#"{"pixel":[160,120],"vein":[],"radius_mm":12}"#,
-            "entry.vein",
-        ),
-        (
-            r#"{"pixel":[160,120],"vein":[[150,130],[170,100]],"radius_mm":-1}"#,
-            "radius_mm",
-        ),
-        (
-            r#"{"pixel":[160,120],"vein":[[150,130],[150,130]],"radius_mm":12}"#,
-            "entry.vein",
-        ),
-        (
-            r#"{"pixel":[1600,120],"vein":[[150,130],[170,100]],"radius_mm":12}"#,
-            "entry.pixel",
-        ),
-    ] {
-        std::fs::write(&file, entry).unwrap();
-        let words_of_it = ["--calibration", &calibration, "--entry", &file];
-        let (status, said) = bench.run(&[&["scan", "--out", &out], &words_of_it[..]].concat());
-        assert_eq!(status, Some(1), "{said}");
-        assert!(said.contains(&file) && said.contains(words), "{said}");
-        let session = Path::new(&out).join("session");
-        assert!(!session.join("scan").exists() && !session.join("session.json").exists());
-    }
-    assert_eq!((bench.rises(Pin::Step), bench.rises(Pin::Trigger)), (0, 0));
-}
-
 /// Whatever writes a recording keeps others out of its folder, and lets a refused one be as it was.
 #[test]
 fn every_command_that_records_takes_the_lock() {
@@ -600,6 +565,68 @@ fn whole_simulation(session: &Path) {
     for frame in &session.manifest.scan.as_ref().unwrap().frames {
         assert!(session.path(&frame.image).exists());
     }
+}
+
+/// All frames would have been taken, and then refused.
+#[test]
+fn an_entry_that_can_not_be_is_refused_before_anything_moves() {
+    let bench = Bench::new();
+    let calibration = calibration(&bench);
+    let (out, file) = (bench.path("job"), bench.path("entry.json"));
+    for (entry, words) in [
+        (
+            r#"{"pixel":[160,120],"vein":[],"radius_mm":12}"#,
+            "entry.vein",
+        ),
+        (
+            r#"{"pixel":[160,120],"vein":[[150,130],[170,100]],"radius_mm":-1}"#,
+            "radius_mm",
+        ),
+        (
+            r#"{"pixel":[160,120],"vein":[[150,130],[150,130]],"radius_mm":12}"#,
+            "entry.vein",
+        ),
+        (
+            r#"{"pixel":[1600,120],"vein":[[150,130],[170,100]],"radius_mm":12}"#,
+            "entry.pixel",
+        ),
+    ] {
+        std::fs::write(&file, entry).unwrap();
+        let words_of_it = ["--calibration", &calibration, "--entry", &file];
+        let (status, said) = bench.run(&[&["scan", "--out", &out], &words_of_it[..]].concat());
+        assert_eq!(status, Some(1), "{said}");
+        assert!(said.contains(&file) && said.contains(words), "{said}");
+        let session = Path::new(&out).join("session");
+        assert!(!session.join("scan").exists() && !session.join("session.json").exists());
+    }
+    assert_eq!((bench.rises(Pin::Step), bench.rises(Pin::Trigger)), (0, 0));
+}
+
+/// What a simulated board at a pseudo-terminal, which no system lists, says of itself.
+#[test]
+fn a_port_that_is_not_listed_can_be_asked() {
+    let bench = Bench::new();
+    let port = bench.real.path();
+    let ended = program::wait_output(start(&["ports", "--port", port, "--json"]), LIMIT);
+    assert_eq!(ended.status, Some(0), "{}", ended.said);
+    let from = ended.out.find("{\n").or(ended.out.find('{')).unwrap();
+    let text = &ended.out[from..];
+    let object = serde_json::Deserializer::from_str(text)
+        .into_iter::<serde_json::Value>()
+        .next()
+        .unwrap()
+        .unwrap();
+    let found = object["ports"].as_array().unwrap();
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0]["path"], port);
+    assert_eq!(found[0]["board"], true);
+    assert!(found[0]["firmware"].is_string());
+    let (status, said) = program::run(&["ports", "--port", "/dev/no-such-port"]);
+    assert_eq!(status, Some(1), "{said}");
+    assert!(
+        said.contains("/dev/no-such-port: cannot open the port"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `cannula ports`: the serial ports, and what each motion board says of itself.
 
 use super::Output;
-use crate::rig::link::{self, Board};
+use crate::rig::link::{self, Board, PortDescription};
 use serde_json::{Value, json};
 
 /// Arguments of the command.
@@ -10,13 +10,29 @@ pub struct Args {
     /// Ask at every port for a board, not only where the USB name says so.
     #[arg(long)]
     all: bool,
+    /// Ask at this port only, listed or not (a simulated board's is not).
+    #[arg(long, value_name = "PATH", conflicts_with = "all")]
+    port: Option<String>,
 }
 
 /// Runs the command.
 pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut lines = Vec::new();
     let mut found: Vec<Value> = Vec::new();
-    for port in link::ports()? {
+    let mut ports = link::ports()?;
+    if let Some(path) = &args.port {
+        ports.retain(|port| port.path == *path);
+        if ports.is_empty() {
+            ports.push(PortDescription {
+                path: path.clone(),
+                description: "not listed by this system".into(),
+                usb_id: None,
+                serial_number: None,
+                is_board: false,
+            });
+        }
+    }
+    for port in ports {
         let mut line = format!("{}  {}", port.path, port.description);
         if let Some(id) = &port.usb_id {
             line += &format!(" (USB {id})");
@@ -28,8 +44,10 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             "path": port.path, "description": port.description, "board": port.is_board,
             "usb_id": port.usb_id, "serial_number": port.serial_number,
         });
-        if port.is_board || args.all {
+        if port.is_board || args.all || args.port.is_some() {
             match Board::connect(&port.path) {
+                // The only thing that was asked for.
+                Err(e) if args.port.is_some() => return Err(e.into()),
                 Ok(board) => {
                     let hello = board.hello();
                     let (identity, firmware) = link::identity_words(&hello.identity);
