@@ -14,6 +14,7 @@ pub mod folder;
 #[cfg(feature = "aravis")]
 pub mod genicam;
 pub mod guide;
+mod kept;
 pub mod light_guide;
 pub mod link;
 pub mod lock;

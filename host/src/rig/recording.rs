@@ -5,6 +5,7 @@
 
 use super::camera::Picture;
 use super::config::Rig;
+use super::kept::Kept;
 use super::progress::{self, Part, Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
@@ -113,6 +114,8 @@ pub struct Recording {
     folder: PathBuf,
     /// What session.json says, or will.
     pub manifest: Manifest,
+    /// What it says beside that.
+    kept: Option<Kept>,
 }
 
 impl Recording {
@@ -128,9 +131,11 @@ impl Recording {
             rows: board.rows,
             square_mm: board.square_mm,
         };
+        let mut kept = None;
         let manifest = match std::fs::read(&path) {
             Ok(text) => {
                 let manifest = session::parse(&text, &path)?;
+                kept = Kept::of(&text, &manifest);
                 let there = (manifest.image.width, manifest.image.height);
                 let different = |there: String, here: String| {
                     Err(RecordingError::Different {
@@ -168,6 +173,7 @@ impl Recording {
         Ok(Self {
             folder: folder.to_owned(),
             manifest,
+            kept,
         })
     }
 
@@ -314,9 +320,20 @@ impl Recording {
         self.folder.join(image)
     }
 
-    /// Writes session.json.
+    /// Writes session.json, with what was found in it that is not known here.
     pub fn save(&self) -> Result<PathBuf, RecordingError> {
-        Ok(session::write(&self.folder, &self.manifest)?)
+        let Some(kept) = &self.kept else {
+            return Ok(session::write(&self.folder, &self.manifest)?);
+        };
+        let path = self.folder.join("session.json");
+        session::check(&self.manifest, &path)?;
+        let fail = |reason| WriteError {
+            path: path.clone(),
+            reason,
+        };
+        let all = kept.with(&self.manifest).map_err(|e| fail(e.to_string()))?;
+        crate::output::write_json(&path, &all).map_err(|e| fail(e.to_string()))?;
+        Ok(path)
     }
 
     /// A background writer for this machine.
@@ -587,5 +604,56 @@ mod tests {
         (rig.scan.start_mm, rig.scan.spacing_mm) = (130.0, 2.0);
         let said = r.bind(Part::Scan, &rig, false).unwrap_err().to_string();
         assert!(said.contains("the scan runs from 130 to 190 mm"), "{said}");
+    }
+
+    /// Other programs' keys stay, each with its image, and go with it.
+    #[test]
+    fn what_is_not_known_of_a_recording_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("session.json");
+        let found = r#"{
+            "format": "cannula-session/1", "note": "after lunch", "image": {"width": 64, "height": 48, "lens": 12},
+            "board": {"columns": 8, "rows": 6, "square_mm": 10.0},
+            "camera": [{"image": "camera/a.png", "note": "far"}, {"image": "camera/b.png"}],
+            "scan": {"hand": "left", "frames": [{"slide_mm": 0.0, "image": "scan/000.png", "lux": 40},
+                {"slide_mm": 5.0, "image": "scan/001.png", "lux": 41}]},
+            "entry": {"pixel": [10.0, 10.0], "vein": [[9.0, 12.0], [11.0, 8.0]], "radius_mm": 12.0, "by": "NIR"}
+        }"#;
+        std::fs::write(&path, found).unwrap();
+        let read = || -> serde_json::Value {
+            serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap()
+        };
+        let before: serde_json::Value = serde_json::from_str(found).unwrap();
+        let mut r = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        let image = r.add_camera(&picture(1)).unwrap();
+        let mut now = read();
+        assert!(now["recorded"]["board"].is_string());
+        now.as_object_mut().unwrap().remove("recorded");
+        let new = now["camera"].as_array_mut().unwrap().pop().unwrap();
+        assert_eq!(new, serde_json::json!({ "image": image }));
+        assert_eq!(now, before, "all else is as it was");
+
+        // Of a scan, a view and an entry that are no longer there nothing is left.
+        r.manifest.camera.remove(0);
+        r.manifest.entry.as_mut().unwrap().radius_mm = 9.0;
+        let frame = |image: &str, slide_mm| Frame {
+            slide_mm,
+            slide_steps: None,
+            trigger_us: None,
+            image: image.into(),
+        };
+        let anew = vec![frame("scan_1/000.png", 0.0), frame("scan_1/001.png", 5.0)];
+        r.set_scan(None, anew).unwrap();
+        let text = String::from_utf8(std::fs::read(&path).unwrap()).unwrap();
+        for gone in ["far", "hand", "lux", "NIR"] {
+            assert!(!text.contains(gone), "{gone}: {text}");
+        }
+        assert!(
+            text.contains("after lunch") && text.contains("lens"),
+            "{text}"
+        );
+        // And it is a recording.
+        let again = Recording::open(dir.path(), (64, 48), &BOARD).unwrap();
+        assert_eq!(again.manifest, r.manifest);
     }
 }
