@@ -276,7 +276,10 @@ impl Board {
         loop {
             if !stopped && self.cancel.is_some_and(|c| c.load(Ordering::Relaxed)) {
                 stopped = true;
-                self.ask_to_stop()?;
+                self.ask_to_stop().map_err(|e| match e {
+                    LinkError::Timeout { seconds, .. } => LinkError::Mute { doing, seconds },
+                    other => other,
+                })?;
             }
             match self.next(Micros(20_000))? {
                 Incoming::Event(Event::JobEnd {
