@@ -2,15 +2,17 @@
 //! another's position, and what is missing is named.
 
 use cannula::rig::acquisition::{AcquireError, Acquisition, Follow, Shot};
+use cannula::rig::camera::{Camera, CameraError, Exposure, Frame as CameraFrame};
 use cannula::rig::capture::{self, CaptureError, Step};
 use cannula::rig::config::{CameraKind, Mode, Rig, TriggerSource};
 use cannula::rig::folder::{FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
 use cannula::rig::link::{Board, LinkError, ScanEvent};
-use cannula::rig::matching::Fault;
+use cannula::rig::matching::{Anchor, Fault};
 use cannula::rig::open::{self, Opened};
 use cannula::rig::progress::{self, Part};
 use cannula::rig::recording::Recording;
 use cannula::rig::simulated::{Fate, SimulatedCamera};
+use cannula::session::Frame;
 use cannula::simulation::mcu::{Damage, Pin, VirtualPipe};
 use cannula::simulation::{Renderer, Scene, Subject};
 use cannula_shared::hello::ResetReason;
@@ -20,7 +22,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Two single triggers tie the clocks together before each sweep.
 const ANCHORS: u64 = 2;
@@ -295,6 +297,63 @@ fn a_board_that_falls_silent_ends_a_sweep_and_is_named() {
             assert!(!pipe.board().level(Pin::Laser));
         }
     }
+}
+
+/// A camera that runs by itself whatever its trigger says: one frame after the other, none of them due.
+struct Chatter(u64);
+
+impl Camera for Chatter {
+    fn description(&self) -> String {
+        "one that never stops".into()
+    }
+
+    fn size(&self) -> (u32, u32) {
+        (16, 16)
+    }
+
+    fn arm(&mut self, _: &Exposure) -> Result<(), CameraError> {
+        Ok(())
+    }
+
+    fn wait(&mut self, timeout: Duration) -> Result<Option<CameraFrame>, CameraError> {
+        if timeout.is_zero() {
+            return Ok(None);
+        }
+        std::thread::sleep(Duration::from_millis(2));
+        self.0 += 1;
+        Ok(Some(CameraFrame {
+            sequence: self.0,
+            time_us: 900_000_000 + 2_000 * self.0 as i64,
+            picture: None,
+        }))
+    }
+}
+
+#[test]
+fn a_camera_that_never_stops_does_not_keep_a_sweep_from_its_end() {
+    let frames: Vec<Frame> = (0..3)
+        .map(|k| Frame {
+            slide_mm: f64::from(k),
+            slide_steps: None,
+            trigger_us: None,
+            image: String::new(),
+        })
+        .collect();
+    let began = Instant::now();
+    let (swept, lost) = guarded(|cancel| {
+        let mut follow = Follow {
+            camera: &mut Chatter(0),
+            cancel,
+            timeout: Duration::from_millis(200),
+            laser: true,
+            planned: 3,
+        };
+        let mut ledger = RecordedLedger::new(&frames, 800.0);
+        follow.run(&mut ledger, Anchor::from_pair(0, 0), &mut |_, _| Ok(()))
+    })
+    .unwrap();
+    assert_eq!((swept.shots, lost.len()), (0, 3));
+    assert!(began.elapsed() < Duration::from_secs(10));
 }
 
 /// Ctrl-C when the board does not answer: soon over, and nothing is said that nobody knows.

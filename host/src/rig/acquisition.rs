@@ -446,6 +446,8 @@ impl Follow<'_> {
         let mut sweep = Sweep::default();
         let mut ended = false;
         let mut idle = Duration::ZERO;
+        // Since the ledger's end, or the last pair after it.
+        let mut since: Option<Instant> = None;
         loop {
             if self.cancel.load(Ordering::Relaxed) {
                 let _ = ledger.stop();
@@ -486,6 +488,7 @@ impl Follow<'_> {
                 let taken = pictures.remove(at);
                 match (decision, taken) {
                     (Decision::Pair(i), Some(taken)) => {
+                        since = None;
                         sweep.shots += 1;
                         if let Err(e) = shot(&triggers[i], taken) {
                             let _ = ledger.stop();
@@ -499,7 +502,9 @@ impl Follow<'_> {
             }
             if ended {
                 idle = if any { Duration::ZERO } else { idle + SLICE };
-                if matcher.all_paired() || idle >= self.timeout {
+                // A camera that goes on by itself is never idle.
+                let since = since.get_or_insert_with(Instant::now);
+                if matcher.all_paired() || idle >= self.timeout || since.elapsed() >= self.timeout {
                     break;
                 }
             }
