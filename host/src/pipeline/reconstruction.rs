@@ -369,7 +369,8 @@ fn run<P: Pixel>(
     })?;
     let size = (manifest.image.width, manifest.image.height);
     let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
-    let checks = belong_together(session.file(), size, rig, calibrated, &positions)?;
+    let mut checks = belong_together(session.file(), size, rig, calibrated, &positions)?;
+    checks.push(without_loss(scan.frames.iter().map(|f| f.image.as_str())));
     let read = |name: &String| {
         times
             .time(Stage::Read, || session.laser::<P>(name))
@@ -408,6 +409,22 @@ fn run<P: Pixel>(
     results?.into_iter().for_each(|result| whole.add(result));
     let request = EntryRequest::from(entry);
     whole.finish(session.file(), request, settings, checks, times)
+}
+
+/// Whether no image is a JPEG: its blocks draw the stripe's centre along by as much for a whole stretch,
+/// which no scatter shows.
+fn without_loss<'a>(names: impl Iterator<Item = &'a str>) -> Check {
+    let jpeg = names
+        .map(|name| Path::new(name).extension().unwrap_or_default())
+        .filter(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg"))
+        .count();
+    let what = "scan: images kept with loss (JPEG)";
+    Check::held(what, jpeg as f64, Limit::AtMost(0.0), "").or(|| {
+        (
+            "the scan’s images are JPEG: what compression moves the stripe is not in any σ (strong compression moves the entry by several of them)".to_owned(),
+            "record PNG".to_owned(),
+        )
+    })
 }
 
 /// The pixelwise minimum of a few frames from end to end: the scene without the stripe, where nobody
@@ -533,4 +550,20 @@ pub(crate) fn belong_together(
     }
     let words = || (what, "depth beyond is extrapolated".to_owned());
     Ok(vec![check.or(words)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scan_kept_with_loss_is_said() {
+        let png = ["scan/000.png", "scan/001.PNG", "jpg/2.png"];
+        assert!(without_loss(png.into_iter()).sound());
+        for name in ["scan/3.jpg", "scan/3.JPEG"] {
+            let check = without_loss(png.into_iter().chain([name]));
+            assert_eq!(check.value, Some(1.0));
+            assert!(check.sentence().is_some_and(|s| s.contains("record PNG")));
+        }
+    }
 }
