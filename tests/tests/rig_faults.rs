@@ -16,6 +16,7 @@ use cannula::session::Frame;
 use cannula::simulation::mcu::{Damage, Pin, VirtualPipe};
 use cannula::simulation::{Renderer, Scene, Subject};
 use cannula_shared::hello::ResetReason;
+use cannula_shared::message::Command;
 use cannula_shared::units::{Cycles, Micros, Steps};
 use cannula_tests::sweeps::{in_real_time, off_by_px, opened, rig, sweep};
 use std::collections::BTreeMap;
@@ -394,6 +395,45 @@ fn ctrl_c_before_a_silent_board_does_not_say_that_the_laser_is_off() {
         assert!(!board.level(Pin::Laser));
         let off = board.trace().falls(Pin::Laser).last().unwrap_or(0);
         assert!(off < since + Micros(300_000).to_cycles().0);
+    }
+}
+
+#[test]
+fn a_board_that_falls_silent_on_a_move_is_named_at_once_after_ctrl_c() {
+    for interrupted in [false, true] {
+        let rig = rig(Mode::Stop);
+        let (mut opened, _stage) = opened(&rig);
+        let pipe = opened.virtual_board.clone().unwrap();
+        let cancel: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
+        opened.board.heed(cancel);
+        let far = Command::MoveTo {
+            position: Steps(160_000),
+            speed_um_s: 0,
+        };
+        let mut since = 0;
+        let error = opened
+            .board
+            .move_with(far, |_| {
+                if since == 0 {
+                    since = pipe.board().now().0;
+                    cut(&pipe);
+                    cancel.store(interrupted, Ordering::Relaxed);
+                }
+            })
+            .unwrap_err();
+        assert!(
+            matches!(
+                error,
+                LinkError::Mute {
+                    doing: "moving",
+                    ..
+                }
+            ),
+            "{error}"
+        );
+        let after = Cycles(pipe.board().now().0 - since).to_micros_down();
+        let limit = Micros(if interrupted { 1_500_000 } else { 4_500_000 });
+        assert!(since > 0 && after < limit, "{interrupted}: {after:?}");
     }
 }
 

@@ -287,11 +287,15 @@ impl Checker<'_> {
                 },
             )?;
         }
-        let pairs = |frames: &[&Frame]| -> Vec<(f64, f64, String)> {
-            let known = frames.iter().filter_map(|f| Some((f.slide_steps?, f)));
-            known
-                .map(|(steps, f)| (steps as f64, f.slide_mm, f.image.clone()))
-                .collect()
+        let pairs = |frames: &[&Frame]| -> Steps {
+            let counted = |f: &&Frame| {
+                Some(Counted {
+                    steps: f.slide_steps? as f64,
+                    mm: f.slide_mm,
+                    image: f.image.clone(),
+                })
+            };
+            frames.iter().filter_map(counted).collect()
         };
         self.steps(pairs(&light), pairs(&scan))
     }
@@ -306,10 +310,10 @@ impl Checker<'_> {
         let Some(astray) = astray else {
             return Ok(());
         };
-        let frame = |line: Line, (steps, mm, image): &(f64, f64, String), by: &str| {
+        let frame = |line: Line, Counted { steps, mm, image }: &Counted| {
             self.fail(
                 format!(
-                    "{image}: slide_mm {mm} does not fit its slide_steps {steps} ({:.3} mm by {by})",
+                    "{image}: slide_mm {mm} does not fit its slide_steps {steps} ({:.3} mm by the other frames)",
                     line.at(*steps)
                 ),
                 "correct the position of that frame",
@@ -318,18 +322,18 @@ impl Checker<'_> {
         let own = [&light, &scan].map(fitted);
         for (line, astray) in own.iter().flatten() {
             if let Some(astray) = astray {
-                return frame(*line, astray, "the other frames");
+                return frame(*line, astray);
             }
         }
         let ((line, name), (others, other)) = match own {
             [Some((line, _)), _] => ((line, "light"), (&scan, "scan")),
             [None, Some((line, _))] => ((line, "scan"), (&light, "light")),
             // One position in each.
-            [None, None] => return frame(of_all, astray, "the other frames"),
+            [None, None] => return frame(of_all, astray),
         };
-        let off = |p: &&(f64, f64, String)| (p.1 - line.at(p.0)).abs();
+        let off = |p: &&Counted| (p.mm - line.at(p.steps)).abs();
         let farthest = others.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
-        let Some((steps, mm, image)) = farthest else {
+        let Some(Counted { steps, mm, image }) = farthest else {
             return Ok(());
         };
         self.fail(
@@ -343,34 +347,42 @@ impl Checker<'_> {
 }
 
 /// The line of a list and the first of its frames that is off it; `None` where all stand at one place.
-fn fitted(list: &Steps) -> Option<(Line, Option<&(f64, f64, String)>)> {
-    let low = list.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let high = list.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-    if high.0 == low.0 {
+fn fitted(list: &Steps) -> Option<(Line, Option<&Counted>)> {
+    let low = list.iter().min_by(|a, b| a.steps.total_cmp(&b.steps))?;
+    let high = list.iter().max_by(|a, b| a.steps.total_cmp(&b.steps))?;
+    if high.steps == low.steps {
         return None;
     }
     // Theil–Sen's slope against the ends is enough: one wrong entry must not hide itself.
     let mut slopes: Vec<f64> = list
         .iter()
-        .flat_map(|p| [low, high].map(|q| (p.0 - q.0, p.1 - q.1)))
+        .flat_map(|p| [low, high].map(|q| (p.steps - q.steps, p.mm - q.mm)))
         .filter(|(steps, _)| *steps != 0.0)
         .map(|(steps, mm)| mm / steps)
         .collect();
     slopes.sort_by(f64::total_cmp);
     let slope = slopes[slopes.len() / 2];
-    let mut offsets: Vec<f64> = list.iter().map(|p| p.1 - slope * p.0).collect();
+    let mut offsets: Vec<f64> = list.iter().map(|p| p.mm - slope * p.steps).collect();
     offsets.sort_by(f64::total_cmp);
     let line = Line {
         slope,
         offset: offsets[offsets.len() / 2],
     };
     let tolerance = STEP_TOLERANCE_MM.max(2.0 * slope.abs());
-    let astray = |p: &&(f64, f64, String)| !((p.1 - line.at(p.0)).abs() <= tolerance);
+    let astray = |p: &&Counted| !((p.mm - line.at(p.steps)).abs() <= tolerance);
     Some((line, list.iter().find(astray)))
 }
 
-/// Steps, mm and image of frames.
-type Steps = Vec<(f64, f64, String)>;
+/// Where a frame says that the slide stood, twice.
+#[derive(Clone)]
+struct Counted {
+    steps: f64,
+    mm: f64,
+    image: String,
+}
+
+/// A list's frames that say so.
+type Steps = Vec<Counted>;
 
 /// mm over steps.
 #[derive(Clone, Copy)]
