@@ -314,3 +314,36 @@ fn commands_over_a_pseudo_terminal() {
     assert!(!board.level(Pin::Laser));
     assert!(board.trace().rises(Pin::Laser).count() >= 1);
 }
+
+/// `simulate` draws the board that the configuration asks for, or says that it can't.
+#[test]
+fn a_simulated_recording_shows_the_checkerboard_that_was_asked_for() {
+    let _one = alone();
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let simulate = |columns: usize, rows: usize, folder: &str| {
+        let config = path("rig.toml");
+        let text = format!("[checkerboard]\ncolumns = {columns}\nrows = {rows}\n");
+        std::fs::write(&config, text).unwrap();
+        let session = path(folder);
+        cannula(&[
+            "simulate",
+            "--profile",
+            "tiny",
+            "--session",
+            &session,
+            "--config",
+            &config,
+        ])
+    };
+    assert_eq!(simulate(9, 6, "wide"), 0);
+    let shown = &json(&dir.path().join("wide/session.json"))["board"];
+    assert_eq!((&shown["columns"], &shown["rows"]), (&9.into(), &6.into()));
+    // As the detector sees it.
+    assert_eq!(
+        cannula(&["calibrate", &path("wide"), "--out", &path("c.json")]),
+        0
+    );
+    assert_eq!(simulate(4, 3, "small"), 1);
+    assert!(!dir.path().join("small").exists());
+}

@@ -4,8 +4,8 @@
 use super::rig::{RigArgs, interrupted};
 use super::{BadArgument, Output};
 use crate::rig::lock::Lock;
-use crate::rig::open::simulated_board;
-use crate::simulation::{Profile, mark, record};
+use crate::rig::open::{scene, simulated_board};
+use crate::simulation::{Profile, mark, record_scene};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -45,6 +45,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
 
 fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
     let file = folder.join("session.json");
+    // Its checkerboard; what else it says is of a rig that is driven.
+    let scene =
+        scene(&args.rig.load()?, args.profile, args.seed).map_err(|e| match args.rig.file() {
+            Some(path) => anyhow::anyhow!("{}: {e}", path.display()),
+            None => e.into(),
+        })?;
     let replace = || {
         let Some(part) = mark::stands(folder) else {
             return Ok(false);
@@ -64,7 +70,7 @@ fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
         mark::clear(folder, &[])?;
     }
     mark::begin(folder)?;
-    let truth = record(folder, args.profile, args.seed, out)?;
+    let truth = record_scene(folder, scene, out)?;
     let n = truth.plane.normal;
     let object = serde_json::json!({
         "session": file,

@@ -4,8 +4,9 @@ use super::camera::{Camera, CameraError};
 use super::config::{CameraKind, Rig, TriggerSource};
 use super::link::{self, Board, LinkError};
 use super::simulated::{Edge, SimulatedCamera, Stage};
+use crate::board::BoardGeometry;
 use crate::simulation::mcu::{self, SimulatedBoard, VirtualPipe};
-use crate::simulation::{Renderer, Scene};
+use crate::simulation::{Profile, Renderer, Scene};
 use cannula_shared::message::{State, Status};
 use cannula_shared::units::Micros;
 use std::sync::Arc;
@@ -28,6 +29,12 @@ pub enum OpenError {
     /// The simulated scene.
     #[error("simulation.seed {0} gives a scene that can't be rendered: take another")]
     Seed(u64),
+    /// The simulated scene can't show the board.
+    #[error(
+        "the simulated rig can't show a checkerboard of {} × {} corners and {} mm squares whole, and crossed by every light plane, in each pose: give [checkerboard] another, 8 × 6 and 10 mm say",
+        .0.columns, .0.rows, .0.square_mm
+    )]
+    Checkerboard(BoardGeometry),
 }
 
 /// An opened rig.
@@ -110,9 +117,19 @@ pub fn beside(rig: &Rig, stage: &Stage, pipe: &VirtualPipe) -> SimulatedCamera {
     }
 }
 
+/// A seed's scene with the configuration's checkerboard.
+///
+/// # Errors
+/// [`OpenError::Checkerboard`].
+pub fn scene(rig: &Rig, profile: Profile, seed: u64) -> Result<Scene, OpenError> {
+    let board = rig.geometry();
+    Scene::with_board(profile, seed, board).ok_or(OpenError::Checkerboard(board))
+}
+
 fn stage(rig: &Rig) -> Result<Stage, OpenError> {
     let seed = rig.simulation.seed;
-    let renderer = Renderer::new(Scene::new(rig.profile(), seed)).ok_or(OpenError::Seed(seed))?;
+    let scene = scene(rig, rig.profile(), seed)?;
+    let renderer = Renderer::new(scene).ok_or(OpenError::Seed(seed))?;
     Ok(Stage::new(Arc::new(renderer), rig.camera.exposure_laser_ms))
 }
 

@@ -20,7 +20,7 @@ mod truth;
 
 pub use hand::{Hand, Skin};
 pub use profile::{Parameters, Profile};
-pub use recording::{FrameId, RecordError, STEPS_PER_MM, record, write_truth};
+pub use recording::{FrameId, RecordError, STEPS_PER_MM, record, record_scene, write_truth};
 pub use render::{Renderer, Still, Subject};
 pub use scene::{Laser, Scene, TRAVEL_MM};
 pub use truth::{Lit, Recorded, Truth, scan_stripe};

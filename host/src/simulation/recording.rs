@@ -68,7 +68,19 @@ pub fn record(
     seed: u64,
     progress: &dyn Progress,
 ) -> Result<Truth, RecordError> {
-    let scene = Scene::new(profile, seed);
+    record_scene(folder, Scene::new(profile, seed), progress)
+}
+
+/// [`record`] for a scene that was drawn already.
+///
+/// # Errors
+/// As of [`record`].
+pub fn record_scene(
+    folder: &Path,
+    scene: Scene,
+    progress: &dyn Progress,
+) -> Result<Truth, RecordError> {
+    let seed = scene.seed;
     let truth = Truth::new(&scene).ok_or(RecordError::Seed(seed))?;
     let renderer = Renderer::new(scene).ok_or(RecordError::Seed(seed))?;
     let scene = renderer.scene();

@@ -12,6 +12,13 @@ use nalgebra::Rotation3;
 /// Travel of the slide that the scene is laid out for, mm.
 pub const TRAVEL_MM: f64 = 60.0;
 
+/// The board that poses, depths and tilts were chosen for.
+const USUAL: BoardGeometry = BoardGeometry {
+    columns: 8,
+    rows: 6,
+    square_mm: 10.0,
+};
+
 /// The laser on its slide as it truly is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Laser {
@@ -97,18 +104,30 @@ impl Laser {
 }
 
 impl Scene {
-    /// The scene of a seed.
+    /// The scene of a seed, with the paper's board.
     pub fn new(profile: Profile, seed: u64) -> Self {
+        Self::drawn(profile, seed, USUAL)
+    }
+
+    /// The same with another board; `None` where that is not whole in every pose, or not crossed by every
+    /// light plane.
+    pub fn with_board(profile: Profile, seed: u64, board: BoardGeometry) -> Option<Self> {
+        let scene = Self::drawn(profile, seed, board);
+        if board == USUAL {
+            return Some(scene);
+        }
+        let mut poses = scene.camera_poses.iter().chain(&scene.light_poses);
+        let whole = poses.all(|pose| scene.whole(pose));
+        let crossed = scene.light_poses.iter().all(|pose| scene.crossed(pose));
+        (whole && crossed).then_some(scene)
+    }
+
+    fn drawn(profile: Profile, seed: u64, board: BoardGeometry) -> Self {
         let parameters = profile.parameters();
         let mut random = Random::new(seed, 1);
         let camera = random_camera(&mut random, &parameters);
         let psf_px = random.between(parameters.psf_px.0, parameters.psf_px.1);
         let laser = Laser::random(&mut Random::new(seed, 2));
-        let board = BoardGeometry {
-            columns: 8,
-            rows: 6,
-            square_mm: 10.0,
-        };
         let hand = Hand::random(&mut Random::new(seed, 3));
         let skin = Skin::random(&mut Random::new(seed, 4), &parameters, &hand);
         let mut scene = Self {
@@ -210,11 +229,7 @@ impl Scene {
                 i as f64 * 2.4 + random.between(-0.6, 0.6),
                 upright + random.between(-0.15, 0.15),
             );
-            let crossed = self
-                .light_positions()
-                .iter()
-                .all(|&x| self.crossing_mm(&pose, &self.laser.plane(x)) > 45.0);
-            if self.whole(&pose) && crossed {
+            if self.whole(&pose) && self.crossed(&pose) {
                 return pose;
             }
         }
@@ -258,6 +273,12 @@ impl Scene {
                             && p.y < f64::from(self.camera.height) - 1.0 - margin
                     })
             })
+    }
+
+    /// Whether every light plane draws a line on the board that is long enough.
+    fn crossed(&self, pose: &Pose) -> bool {
+        let long = |x: &f64| self.crossing_mm(pose, &self.laser.plane(*x)) > 45.0;
+        self.light_positions().iter().all(long)
     }
 
     /// How long the light plane's line on the board's squares is, mm.
@@ -335,6 +356,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn another_board_is_shown_if_it_can_be() {
+        let board = |columns, rows, square_mm| BoardGeometry {
+            columns,
+            rows,
+            square_mm,
+        };
+        let shown = |b| Scene::with_board(Profile::Tiny, 3, b).map(|s| s.board);
+        for b in [board(9, 6, 8.0), board(8, 5, 10.0)] {
+            assert_eq!(shown(b), Some(b));
+        }
+        // Larger than the image; smaller than the line that the planes need.
+        for b in [board(20, 16, 10.0), board(4, 3, 4.0)] {
+            assert_eq!(shown(b), None);
+        }
+        // The same as ever with the board that is the usual one.
+        let (usual, given) = (
+            Scene::new(Profile::Tiny, 3),
+            Scene::with_board(Profile::Tiny, 3, board(8, 6, 10.0)).unwrap(),
+        );
+        assert_eq!(usual.light_poses, given.light_poses);
     }
 
     #[test]
