@@ -62,7 +62,10 @@ const EXAMPLES: [(&str, &[&str]); 17] = [
             "cannula motion --config rig.toml laser --laser --seconds 5",
         ],
     ),
-    ("ports", &["cannula ports"]),
+    (
+        "ports",
+        &["cannula ports", "cannula ports --port /dev/ttyACM0"],
+    ),
     (
         "config",
         &[

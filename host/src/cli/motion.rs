@@ -6,6 +6,7 @@ use super::{BadArgument, Output};
 use crate::rig::config::Rig;
 use crate::rig::link::Board;
 use crate::rig::open;
+use anyhow::Context;
 use cannula_shared::message::{State, Status};
 use cannula_shared::units::Steps;
 use serde_json::{Value, json};
@@ -127,13 +128,19 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             board.laser(true)?;
             out.say("laser on; Ctrl-C turns it off");
             let began = Instant::now();
-            let mut status = board.status()?;
+            // Whoever stands beside it must know that it may still be on.
+            let ask = || {
+                board.status().context(
+                    "the laser was on, and goes off by itself once its lease is over: look at it",
+                )
+            };
+            let mut status = ask()?;
             while status.laser
                 && !stop.load(Ordering::Relaxed)
                 && began.elapsed().as_secs_f64() < limit
             {
                 std::thread::sleep(Duration::from_millis(20));
-                status = board.status()?;
+                status = ask()?;
             }
             if !status.laser {
                 out.say(
