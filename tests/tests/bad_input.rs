@@ -243,23 +243,28 @@ fn swapped_images_are_named() {
     refused(&bad, &["swapped"]);
 }
 
-/// A sensor's noise in rows looks like a stripe in the image without the laser: one image says nothing
-/// of the recording, most of a pose do.
-#[test]
-fn one_image_with_a_dark_row_is_left_out_and_most_of_a_pose_are_swapped() {
-    let folder = tempfile::tempdir().unwrap();
-    let good = recording();
-    let pose = &good.light[2];
-    let off = pose.off.as_ref().unwrap();
+/// The board or the hand without the laser, three rows in its middle darker: as a sensor's noise in rows
+/// makes it.
+fn dark_rows(name: &str) -> Image<u8> {
     let session = Session::open(&committed("tiny-1001")).unwrap();
-    // The board without the laser, three rows in its middle darker.
-    let mut dark = session.luma::<u8>(off).unwrap();
+    let mut dark = session.luma::<u8>(name).unwrap();
     let (width, middle) = (dark.width(), dark.height() / 2);
     for row in middle - 1..middle + 2 {
         for p in &mut dark.pixels_mut()[row * width..][..width] {
             *p = p.saturating_sub(14);
         }
     }
+    dark
+}
+
+/// They look like a stripe in the image without the laser: one image says nothing of the recording,
+/// most of a pose do.
+#[test]
+fn one_image_with_a_dark_row_is_left_out_and_most_of_a_pose_are_swapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = recording();
+    let pose = &good.light[2];
+    let dark = dark_rows(pose.off.as_ref().unwrap());
     let with = |images: std::ops::Range<usize>| {
         let mut m = good.clone();
         for i in images {
@@ -283,6 +288,29 @@ fn one_image_with_a_dark_row_is_left_out_and_most_of_a_pose_are_swapped() {
         ),
         "{words}"
     );
+}
+
+#[test]
+fn scan_frames_with_a_dark_row_are_left_out_and_most_are_swapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let dark = dark_rows(recording().scan.unwrap().ambient.as_ref().unwrap());
+    let with = |frames: std::ops::Range<usize>| {
+        let mut m = recording();
+        for i in frames {
+            let path = folder.path().join(format!("dark_{i}.png"));
+            session::write_png(&path, &dark).unwrap();
+            m.scan.as_mut().unwrap().frames[i].image = path.display().to_string();
+        }
+        m
+    };
+    let measured = process(&with(0..2)).unwrap();
+    let words = cannula::checks::sentences(&measured.checks).join("\n");
+    assert!(
+        words.contains("something like one: 0, 1 (from 0)"),
+        "{words}"
+    );
+    assert_eq!(measured.counts[..2], [0, 0]);
+    refused(&with(3..28), &["on and off are swapped"]);
 }
 
 #[test]

@@ -34,6 +34,8 @@ pub struct FrameResult {
     pub background: Vec<CloudPoint>,
     /// Stripe points that gave no point in space.
     pub lost: Lost,
+    /// It shows no stripe, and the ambient image something like one.
+    pub swapped: bool,
 }
 
 /// A cloud that grows frame by frame.
@@ -45,6 +47,8 @@ pub struct Reconstruction<P: Pixel> {
     region: Option<paper::hand::Region>,
     settings: HandSettings,
     frames: u32,
+    /// Frames that seem to be swapped with the ambient image.
+    swapped: Vec<u32>,
     positions: Vec<f64>,
     /// Points on the hand, frame by frame.
     pub cloud: Vec<CloudPoint>,
@@ -77,6 +81,7 @@ impl<P: Pixel> Reconstruction<P> {
             region,
             settings,
             frames: 0,
+            swapped: Vec::new(),
             positions: Vec::new(),
             cloud: Vec::new(),
             measured: Vec::new(),
@@ -89,7 +94,7 @@ impl<P: Pixel> Reconstruction<P> {
     /// Works on one frame without keeping its result: for callers that work on several at once.
     ///
     /// # Errors
-    /// An image of another size, or one that has no stripe where the ambient image has.
+    /// An image of another size, or an ambient image that is brighter.
     pub fn frame(
         &self,
         index: u32,
@@ -115,9 +120,17 @@ impl<P: Pixel> Reconstruction<P> {
         image: &Image<P>,
         times: &Times,
     ) -> Result<FrameResult, StripeError> {
-        let segments = times.time(Stage::HandStripe, || {
+        let found = times.time(Stage::HandStripe, || {
             hand::extract(image, self.ambient.as_ref(), &self.settings)
-        })?;
+        });
+        // The sensor's noise, in rows, can look so beside the hand: one frame tells nothing.
+        if found == Err(StripeError::Swapped) {
+            return Ok(FrameResult {
+                swapped: true,
+                ..FrameResult::default()
+            });
+        }
+        let segments = found?;
         let mut result = FrameResult::default();
         times.time(Stage::Cloud, || {
             for segment in &segments {
@@ -186,6 +199,9 @@ impl<P: Pixel> Reconstruction<P> {
 
     /// Keeps a frame's result; frames come in the order of travel.
     pub fn add(&mut self, mut result: FrameResult) {
+        if result.swapped {
+            self.swapped.push(self.frames);
+        }
         self.positions.push(result.slide_mm);
         self.counts.push(result.hand.len());
         self.cloud.append(&mut result.hand);
@@ -236,7 +252,7 @@ impl<P: Pixel> Reconstruction<P> {
     ///
     /// # Errors
     /// [`PipelineError::Needle`]: why no angle is given, with what was scanned;
-    /// [`PipelineError::Mismatch`]: frames that do not follow the slide.
+    /// [`PipelineError::Stripe`]: most frames show no stripe where the ambient image does.
     pub fn finish(
         self,
         file: &Path,
@@ -251,6 +267,26 @@ impl<P: Pixel> Reconstruction<P> {
                 "the paper’s way, to compare with: the stated σ leave out what its thinning and its plane of z-distances add (ten times as much and more)",
             ));
         }
+        if 2 * self.swapped.len() > self.counts.len() {
+            return Err(PipelineError::Stripe {
+                path: file.to_owned(),
+                source: StripeError::Swapped,
+            });
+        }
+        let left_out = Check::held(
+            "scan: frames left out",
+            self.swapped.len() as f64,
+            Limit::AtMost(0.0),
+            "",
+        );
+        checks.push(left_out.or(|| {
+            let names: Vec<String> = self.swapped.iter().map(u32::to_string).collect();
+            let what = format!(
+                "frames of the scan without a stripe, where the image without the laser shows something like one: {} (from 0)",
+                names.join(", ")
+            );
+            (what, "they are left out".to_owned())
+        }));
         let mut made = Vec::new();
         let decided = times.time(Stage::Needle, || {
             let sub_pixel = self.method == Method::Ml;
