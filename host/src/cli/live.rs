@@ -78,7 +78,8 @@ impl<P: Pixel> Frames<P> {
 
     /// The frames that show no stripe at all though others before and after them do.
     fn without_stripe(&self) -> Vec<u32> {
-        let dark = |r: &FrameResult| r.hand.is_empty() && r.background.is_empty();
+        // Those that look swapped are named where all frames are in.
+        let dark = |r: &FrameResult| r.hand.is_empty() && r.background.is_empty() && !r.swapped;
         let lit = |index: u32| self.results.iter().any(|(i, _, r)| *i == index && !dark(r));
         let shown: Vec<u32> = self
             .results

@@ -273,13 +273,13 @@ impl<P: Pixel> Reconstruction<P> {
                 source: StripeError::Swapped,
             });
         }
-        let left_out = Check::held(
-            "scan: frames left out",
+        let swapped = Check::held(
+            "scan: frames that look swapped with the image without the laser",
             self.swapped.len() as f64,
             Limit::AtMost(0.0),
             "",
         );
-        checks.push(left_out.or(|| {
+        checks.push(swapped.or(|| {
             let names: Vec<String> = self.swapped.iter().map(u32::to_string).collect();
             let what = format!(
                 "frames of the scan without a stripe, where the image without the laser shows something like one: {} (from 0)",
