@@ -1,7 +1,8 @@
 //! Whether a scan's frames follow the slide: from frame to frame the stripe moves in the image in
 //! proportion to the travel. Where it moves twice as far, or not at all, a frame was lost or doubled, or
 //! the hand moved, and all that follows would be laid beside where it is. A slip of the slide, or a twitch
-//! of the hand, by a tenth of a step shows against the two neighbours: a surface's travel is smooth.
+//! of the hand, by a tenth of a step shows too: a surface's travel runs smoothly, and a cubic through two
+//! neighbours on either side foretells it to a few hundredths.
 
 use crate::checks::{Check, Limit};
 use crate::cloud::CloudPoint;
@@ -18,41 +19,71 @@ const LEAST_PAIRS: usize = 5;
 const NEIGHBOURS: usize = 4;
 /// Travel in the image against that of the neighbours: less or more than this is no surface's slope.
 const RATIO: [f64; 2] = [0.6, 1.3];
-/// How far it may be off the mean of the two beside it, as a part of that: named, refused. On 79 rendered
-/// recordings without a slip the most is 0.057, where speckle is strong, and 0.04 elsewhere.
-const OFF: [f64; 2] = [0.045, 0.1];
-/// The same where the scan's own scatter (median of what pairs are off, as a standard deviation) asks for more.
+/// How far it may be off what the neighbours foretell, as a part of that, between two frames and over a
+/// few: named, refused. On 79 rendered recordings without a slip, and on the same with every second or
+/// third frame only, the most is 0.056, where speckle is strong, and 0.036 elsewhere.
+const OFF: [[f64; 2]; 2] = [[0.045, 0.1], [0.045, 0.07]];
+/// The same in the scan's own scatters (median of what all are off, as a standard deviation), where that
+/// is more, up to [`OFF_MOST`]: what slips all the time must not hide itself.
 const OFF_SCATTERS: [f64; 2] = [5.0, 10.0];
+/// See [`OFF_SCATTERS`].
+const OFF_MOST: [f64; 2] = [0.12, 0.2];
+/// The scatter itself, named; 0.022 at the most without a slip.
+const SCATTER: f64 = 0.03;
+/// These hold for steps of this many mm and more; shorter ones scatter more, in proportion.
+const STEP_MM: f64 = 2.0;
+/// Travel over so many mm is looked at beside that from frame to frame.
+const SPANS_MM: [f64; 3] = [2.0, 4.0, 6.0];
 
 /// What is decided by here, for the report: name and value.
 pub fn limits() -> Vec<(&'static str, String)> {
-    let off = |k: usize| format!("{} or {} scatters", OFF[k], OFF_SCATTERS[k]);
+    let off = |k: usize| {
+        let [near, wide] = OFF.map(|o| o[k]);
+        let [scatters, most] = [OFF_SCATTERS[k], OFF_MOST[k]];
+        format!("{near} (over several frames {wide}) or {scatters} scatters up to {most}")
+    };
     vec![
         (
             "scan: a stripe’s travel from frame to frame against its neighbours’",
             format!("{} to {}", RATIO[0], RATIO[1]),
         ),
         (
-            "scan: the same off the mean of the two beside it refused, named at",
-            format!("{}, {}", off(1), off(0)),
+            "scan: the same off what two neighbours on either side foretell, named at",
+            off(0),
+        ),
+        ("scan: the same, refused at", off(1)),
+        (
+            "scan: scatter of the same named above",
+            format!("{SCATTER} at steps of {STEP_MM} mm"),
         ),
     ]
 }
 
-/// A pair of frames between which the stripe did not follow the slide.
+/// Two frames between which the stripe's travel is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Break {
-    /// The two frames, from 0.
+pub struct Pair {
+    /// The two, from 0.
     pub frames: [usize; 2],
     /// How far the stripe moved, as a part of what its neighbours' travel asks for.
     pub ratio: f64,
-    /// Least and most that it may.
-    pub limits: [f64; 2],
+    /// Least and most that it may before it is named.
+    pub named: [f64; 2],
+    /// The same before no angle is given.
+    pub refused: [f64; 2],
 }
 
-impl Break {
-    fn beyond(&self) -> bool {
-        !(self.limits[0]..=self.limits[1]).contains(&self.ratio)
+impl Pair {
+    fn beyond(&self, limits: [f64; 2]) -> bool {
+        !(limits[0]..=limits[1]).contains(&self.ratio)
+    }
+
+    fn breaks(&self) -> bool {
+        self.beyond(self.refused)
+    }
+
+    /// How far off it is, in what is named.
+    fn off(&self) -> f64 {
+        (self.ratio - 1.0).abs() / (self.named[1] - 1.0)
     }
 
     /// As a reason for giving no angle.
@@ -61,8 +92,8 @@ impl Break {
             frames: self.frames,
             // No "-0.0".
             ratio: self.ratio + 0.0,
-            least: self.limits[0],
-            most: self.limits[1],
+            least: self.refused[0],
+            most: self.refused[1],
         }
     }
 }
@@ -70,35 +101,52 @@ impl Break {
 /// How a scan's stripes follow the slide.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sequence {
-    /// Pairs that do not.
-    pub breaks: Vec<Break>,
-    /// The pair that is the farthest off the two beside it, where there are enough to tell, with the
-    /// limits of caution.
-    pub farthest: Option<Break>,
+    /// Frames that do not.
+    pub breaks: Vec<Pair>,
+    /// Those that are the farthest off what is foretold, where there are enough to tell.
+    pub farthest: Option<Pair>,
+    /// Scatter of all from frame to frame, and up to what it is usual.
+    pub scatter: Option<[f64; 2]>,
 }
 
 impl Sequence {
-    /// As checks, those that refuse among them.
+    /// As checks. What refuses is said by [`Pair::error`].
     pub fn checks(&self) -> Vec<Check> {
-        let breaks = Check::held(
-            "scan: frames whose stripe does not follow the slide",
-            self.breaks.len() as f64,
-            Limit::AtMost(0.0),
-            "",
-        );
+        let none = Limit::AtMost(0.0);
+        let what = "scan: frames whose stripe does not follow the slide";
+        let breaks = Check::held(what, self.breaks.len() as f64, none, "").refused_beyond(none);
         let farthest = self.farthest.map(|f| {
-            let what = "scan: a stripe’s travel against the two beside it, farthest off";
-            Check::held(what, f.ratio, Limit::Between(f.limits), "").or(|| {
+            let what = "scan: a stripe’s travel against what its neighbours foretell, farthest off";
+            let check = Check::held(what, f.ratio, Limit::Between(f.named), "")
+                .refused_beyond(Limit::Between(f.refused));
+            match f.breaks() {
+                true => check,
+                false => check.or(|| {
+                    (
+                        format!(
+                            "from frame {} to frame {} the stripe moves {:.2} times as far as the slide’s travel asks for: did the hand move, or the slide slip?",
+                            f.frames[0], f.frames[1], f.ratio
+                        ),
+                        "scan again with the hand at rest; if it is there again, look at the slide".to_owned(),
+                    )
+                }),
+            }
+        });
+        let scatter = self.scatter.map(|[scatter, usual]| {
+            let what = "scan: scatter of the stripe’s travel from frame to frame";
+            Check::held(what, scatter, Limit::AtMost(usual), "").or(|| {
                 (
                     format!(
-                        "from frame {} to frame {} the stripe moves {:.2} times as far as the slide’s travel asks for: did the hand move, or the slide slip?",
-                        f.frames[0], f.frames[1], f.ratio
+                        "the stripe’s travel scatters by {:.0} % from frame to frame (up to {:.0} % is usual): a slide that sticks and slips, positions that are not where it stood, or a hand that shakes; no σ holds that",
+                        100.0 * scatter,
+                        100.0 * usual,
                     ),
-                    "scan again with the hand at rest; if it is there again, look at the slide".to_owned(),
+                    "look at the slide, and scan again with the hand at rest".to_owned(),
                 )
             })
         });
-        std::iter::once(breaks).chain(farthest).collect()
+        let all = std::iter::once(breaks).chain(farthest).chain(scatter);
+        all.collect()
     }
 }
 
@@ -120,53 +168,126 @@ fn travel(a: &Course, b: &Course, mm: f64) -> Option<f64> {
     (moved.len() >= LEAST_COLUMNS && mm != 0.0).then(|| median(&mut moved))
 }
 
-/// Looks at the pairs of frames; `positions` of the slide are those of frames 0, 1, …, mm, and `cloud` is
-/// in their order. Of centres that are whole pixels (the paper's thinning) only the coarse limits hold.
+/// Looks at the frames; `positions` of the slide are those of frames 0, 1, …, mm, and `cloud` is in their
+/// order. Of centres that are whole pixels (the paper's thinning) only the coarse limits hold.
 pub fn follow(cloud: &[CloudPoint], positions: &[f64], axis: Axis, sub_pixel: bool) -> Sequence {
     let courses = courses(cloud, positions.len(), axis);
-    let pairs: Vec<(usize, f64)> = (1..positions.len())
-        .filter_map(|i| {
-            let mm = positions[i] - positions[i - 1];
-            Some((i, travel(&courses[i - 1], &courses[i], mm)?))
-        })
+    let steps = spans(&courses, positions, 1);
+    let pairs: Vec<(usize, f64)> = (1..)
+        .zip(&steps)
+        .filter_map(|(i, s)| Some((i, s.as_ref()?.travel)))
         .collect();
     if pairs.len() < LEAST_PAIRS {
         return Sequence::default();
     }
-    let at = |k: usize, ratio: f64, limits: [f64; 2]| Break {
-        frames: [pairs[k].0 - 1, pairs[k].0],
-        ratio,
-        limits,
-    };
     let around = |k: usize| {
         let around = k.saturating_sub(NEIGHBOURS)..(k + NEIGHBOURS + 1).min(pairs.len());
         let mut others: Vec<f64> = around.filter(|&j| j != k).map(|j| pairs[j].1).collect();
-        at(k, pairs[k].1 / median(&mut others), RATIO)
+        Pair {
+            frames: [pairs[k].0 - 1, pairs[k].0],
+            ratio: pairs[k].1 / median(&mut others),
+            named: RATIO,
+            refused: RATIO,
+        }
     };
-    let mut breaks: Vec<Break> = (0..pairs.len()).map(around).filter(Break::beyond).collect();
+    let mut breaks: Vec<Pair> = (0..pairs.len()).map(around).filter(Pair::breaks).collect();
+    if !sub_pixel {
+        return Sequence {
+            breaks,
+            ..Sequence::default()
+        };
+    }
 
-    let beside: Vec<(usize, f64)> = (1..pairs.len().saturating_sub(1))
-        .filter(|&k| pairs[k + 1].0 == pairs[k - 1].0 + 2)
-        .map(|k| (k, pairs[k].1 / (0.5 * (pairs[k - 1].1 + pairs[k + 1].1))))
-        .collect();
-    let mut off: Vec<f64> = beside.iter().map(|b| (b.1 - 1.0).abs()).collect();
-    let scatter = 1.4826 * median(&mut off);
-    let limits = |k: usize| {
-        let off = OFF[k].max(OFF_SCATTERS[k] * scatter);
-        [1.0 - off, 1.0 + off]
-    };
-    let farthest = beside
-        .iter()
-        .max_by(|a, b| (a.1 - 1.0).abs().total_cmp(&(b.1 - 1.0).abs()));
-    let farthest = farthest.filter(|_| sub_pixel && beside.len() >= LEAST_PAIRS);
-    let refused = farthest.map(|&(k, ratio)| at(k, ratio, limits(1)));
+    let mut lengths: Vec<f64> = positions.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+    let step = median(&mut lengths);
+    let fine = (STEP_MM / step).max(1.0);
+    let mut counts: Vec<usize> = SPANS_MM.map(|mm| ((mm / step).round() as usize).max(1)).to_vec();
+    counts.insert(0, 1);
+    counts.dedup();
+    let mut farthest: Option<Pair> = None;
+    let mut scatter = None;
+    for count in counts {
+        let spans = spans(&courses, positions, count);
+        let ratios: Vec<(usize, f64)> = (0..spans.len())
+            .filter_map(|i| Some((i, spans[i].as_ref()?.travel / foretold(&spans, i, count)?)))
+            .collect();
+        if ratios.len() < LEAST_PAIRS {
+            continue;
+        }
+        let mut off: Vec<f64> = ratios.iter().map(|r| (r.1 - 1.0).abs()).collect();
+        let scatters = 1.4826 * median(&mut off);
+        if count == 1 {
+            scatter = Some([scatters, SCATTER * fine]);
+        }
+        let limits = |k: usize| {
+            let least = OFF[usize::from(count > 1)][k];
+            let off = (OFF_SCATTERS[k] * scatters)
+                .min(fine * OFF_MOST[k])
+                .max(least);
+            [1.0 - off, 1.0 + off]
+        };
+        let pairs = ratios.iter().map(|&(i, ratio)| Pair {
+            frames: [i, i + count],
+            ratio,
+            named: limits(0),
+            refused: limits(1),
+        });
+        farthest = pairs
+            .chain(farthest)
+            .max_by(|a, b| a.off().total_cmp(&b.off()));
+    }
     if breaks.is_empty() {
-        breaks.extend(refused.filter(Break::beyond));
+        breaks.extend(farthest.filter(Pair::breaks));
     }
     Sequence {
         breaks,
-        farthest: farthest.map(|&(k, ratio)| at(k, ratio, limits(0))),
+        farthest,
+        scatter,
     }
+}
+
+/// Travel from one frame to a later one.
+struct Span {
+    /// Where between them the slide was, mm.
+    middle_mm: f64,
+    /// In the image for each mm of the slide.
+    travel: f64,
+}
+
+/// From each frame to the one that comes `count` later.
+fn spans(courses: &[Course], positions: &[f64], count: usize) -> Vec<Option<Span>> {
+    (count..positions.len())
+        .map(|j| {
+            let (a, b) = (positions[j - count], positions[j]);
+            Some(Span {
+                middle_mm: 0.5 * (a + b),
+                travel: travel(&courses[j - count], &courses[j], b - a)?,
+            })
+        })
+        .collect()
+}
+
+/// The travel in span `i` by the cubic through the two spans before and the two after it, none of which
+/// shares a frame's way with it.
+fn foretold(spans: &[Option<Span>], i: usize, count: usize) -> Option<f64> {
+    let at = |k: usize| spans.get(k)?.as_ref();
+    let others = [
+        at(i.checked_sub(2 * count)?)?,
+        at(i.checked_sub(count)?)?,
+        at(i + count)?,
+        at(i + 2 * count)?,
+    ];
+    let x = at(i)?.middle_mm;
+    let weight = |j: usize| -> f64 {
+        let rest = others.iter().enumerate().filter(|(k, _)| *k != j);
+        rest.map(|(_, o)| (x - o.middle_mm) / (others[j].middle_mm - o.middle_mm))
+            .product()
+    };
+    Some(
+        (0..others.len())
+            .map(|j| weight(j) * others[j].travel)
+            .sum(),
+    )
 }
 
 /// Each frame's stripe on the hand.
