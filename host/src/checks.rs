@@ -157,6 +157,13 @@ impl Check {
     }
 }
 
+/// So many decimals, from `least`, that a number that breaks a limit does so as it is written.
+pub(crate) fn decimals(value: f64, limit: f64, least: usize) -> usize {
+    const MOST: usize = 6;
+    let apart = |n: &usize| format!("{value:.n$}") != format!("{limit:.n$}");
+    (least..MOST).find(apart).unwrap_or(least)
+}
+
 /// The same checks as those of a part.
 pub fn of(part: &str, checks: impl IntoIterator<Item = Check>) -> impl Iterator<Item = Check> {
     checks.into_iter().map(move |check| Check {

@@ -384,26 +384,46 @@ fn a_slip_of_the_slide_is_named() {
             assert!(said.contains(&names), "{names}: {said}");
         }
     }
-    // Less than half of that is doubted. The recording itself is not.
-    let doubts = |m: &Measurement| -> Vec<String> {
-        let all = m
+    // Less than that is doubted, as is the same in two halves, and a slide that slips all the time. The
+    // recording itself is not.
+    let doubts = |shift: &dyn Fn(usize) -> f64| -> Vec<String> {
+        let mut m = recording();
+        for (i, frame) in (0..).zip(&mut m.scan.as_mut().unwrap().frames) {
+            frame.slide_mm += shift(i);
+            frame.slide_steps = None;
+        }
+        let measured = process(&m).unwrap();
+        let words = measured
             .checks
             .iter()
-            .filter(|c| c.what.contains("against the two beside it"));
-        all.filter_map(|c| c.sentence()).collect()
+            .filter(|c| c.what.contains("stripe’s travel"));
+        words.filter_map(|c| c.sentence()).collect()
     };
-    let mut doubtful = recording();
-    for frame in &mut doubtful.scan.as_mut().unwrap().frames[count / 2..] {
-        frame.slide_mm -= 0.15;
-        frame.slide_steps = None;
-    }
-    let said = doubts(&process(&doubtful).unwrap());
-    let names = format!("from frame {} to frame {}", count / 2 - 1, count / 2);
+    let at = count / 2;
+    let names = |from: usize, to: usize| format!("from frame {from} to frame {to}");
+    let said = doubts(&|i| if i >= at { -0.15 } else { 0.0 });
+    let single = names(at - 1, at);
     assert!(
-        said.len() == 1 && said[0].contains(&names),
-        "{names}: {said:?}"
+        said.len() == 1 && said[0].contains(&single),
+        "{single}: {said:?}"
     );
-    assert_eq!(doubts(&process(&recording()).unwrap()), [""; 0]);
+    let halves = |i: usize| match i {
+        i if i > at => -0.3,
+        i if i == at => -0.15,
+        _ => 0.0,
+    };
+    let said = doubts(&halves);
+    let both = names(at - 1, at + 1);
+    assert!(
+        said.len() == 1 && said[0].contains(&both),
+        "{both}: {said:?}"
+    );
+    let said = doubts(&|i| 0.15 * (i / 2) as f64);
+    assert!(
+        said.iter().any(|w| w.contains("sticks and slips")),
+        "{said:?}"
+    );
+    assert_eq!(doubts(&|_| 0.0), [""; 0]);
 }
 
 /// The same slip in every pose of the calibration bends no pose against another; the positions no longer

@@ -123,6 +123,11 @@ fn a_calibration_past_its_limits_gives_no_angle() {
         spoil(&mut bad);
         std::fs::write(path("bad.json"), bad.to_string()).unwrap();
         assert_eq!(angle(&path("bad.json")), 1);
+        // A scan does not even begin.
+        let scanned = path("scanned");
+        let bad = path("bad.json");
+        assert_eq!(run(&["scan", "--out", &scanned, "--calibration", &bad]), 1);
+        assert!(!Path::new(&scanned).join("session").exists());
         let there = |name: &str| Path::new(&to).join(name).exists();
         assert!(!there("result.json") && there("cloud.ply"), "{reason}");
         let page = std::fs::read_to_string(format!("{to}/report.html")).unwrap();

@@ -21,7 +21,6 @@ use crate::session::{Entry, Session};
 use crate::simulation::{Subject, Truth, mark};
 use serde_json::json;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
@@ -152,7 +151,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut acquisition = Acquisition::new(board, camera.as_mut(), &rig, cancel);
     match &args.what {
         What::Camera(p) => {
-            let mut operator = Operator::new(p, cancel, out);
+            let mut operator = Operator::new(p, out);
             if common.force {
                 recording.manifest.camera.clear();
             }
@@ -169,7 +168,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                     None => out.say(&format!("{}: that is enough", guide.summary())),
                 }
                 let have = recording.manifest.camera.len();
-                if !operator.go_on("take this pose", next.is_none(), have)? {
+                if !operator.go_on(
+                    &|| acquisition.go_on(),
+                    "take this pose",
+                    next.is_none(),
+                    have,
+                )? {
                     break;
                 }
                 // On the simulated rig somebody has to move the board.
@@ -210,7 +214,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             })
         }
         What::Light(p) => {
-            let mut operator = Operator::new(p, cancel, out);
+            let mut operator = Operator::new(p, out);
             if common.force {
                 recording.manifest.light.clear();
             }
@@ -228,7 +232,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 }
                 let have = recording.manifest.light.len();
                 let what = "sweep over this pose (keep the board still)";
-                if !operator.go_on(what, next.is_none(), have)? {
+                if !operator.go_on(&|| acquisition.go_on(), what, next.is_none(), have)? {
                     break;
                 }
                 if let (Some(stage), Some(renderer)) = (stage.as_ref(), &scene)
@@ -399,20 +403,18 @@ struct Operator<'a> {
     /// Poses in which no board was found: all, and in a row.
     missed: usize,
     in_a_row: usize,
-    cancel: &'a AtomicBool,
     /// Lines from the keyboard: read elsewhere, so that Ctrl-C is heeded meanwhile.
     keyboard: Option<Receiver<std::io::Result<String>>>,
     out: &'a Output,
 }
 
 impl<'a> Operator<'a> {
-    fn new(args: &PosesArgs, cancel: &'a AtomicBool, out: &'a Output) -> Self {
+    fn new(args: &PosesArgs, out: &'a Output) -> Self {
         Self {
             poses: args.poses,
             every: Duration::from_secs_f64(args.every),
             missed: 0,
             in_a_row: 0,
-            cancel,
             keyboard: None,
             out,
         }
@@ -450,11 +452,17 @@ impl<'a> Operator<'a> {
 
     /// Whether to take another pose beside the `have` of the recording. `enough`: it would be the
     /// user's own wish.
-    fn go_on(&mut self, what: &str, enough: bool, have: usize) -> anyhow::Result<bool> {
+    fn go_on(
+        &mut self,
+        heed: &dyn Fn() -> Result<(), AcquireError>,
+        what: &str,
+        enough: bool,
+        have: usize,
+    ) -> anyhow::Result<bool> {
         if let Some(poses) = self.poses {
             let began = Instant::now();
             while have < poses && began.elapsed() < self.every {
-                heed(self.cancel)?;
+                heed()?;
                 std::thread::sleep(Duration::from_millis(10));
             }
             return Ok(have < poses);
@@ -481,16 +489,9 @@ impl<'a> Operator<'a> {
             match keyboard.recv_timeout(Duration::from_millis(50)) {
                 Ok(line) => break line?,
                 Err(RecvTimeoutError::Disconnected) => return Ok(false),
-                Err(RecvTimeoutError::Timeout) => heed(self.cancel)?,
+                Err(RecvTimeoutError::Timeout) => heed()?,
             }
         };
         Ok(!line.trim().eq_ignore_ascii_case("q"))
     }
-}
-
-fn heed(cancel: &AtomicBool) -> anyhow::Result<()> {
-    if cancel.load(Ordering::Relaxed) {
-        return Err(AcquireError::Interrupted.into());
-    }
-    Ok(())
 }

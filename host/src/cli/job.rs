@@ -229,7 +229,9 @@ impl Job<'_> {
         let scan = self.session.manifest.recorded.scan();
         // Those of a refused hand; the report adds the calibration's own.
         let needle: Vec<Check> = of("needle", m.decision.checks.iter().cloned()).collect();
-        let alone: Vec<Check> = m.checks.iter().chain(&needle).cloned().collect();
+        let of_angle = |c: &&Check| c.part == "needle" && c.what.starts_with("needle angle");
+        let alone = m.checks.iter().chain(&needle).filter(|c| !of_angle(c));
+        let alone: Vec<Check> = alone.cloned().collect();
         let mut checks = all_checks(self.calibration, scan, now, Some(&m.decision.uncertainty));
         if self.provenance.rig.is_some() {
             let real = !self.simulated();
@@ -247,10 +249,12 @@ impl Job<'_> {
         let given = self.args.needle_angle;
         let angle = given.unwrap_or(settings.angle.to_degrees());
         checks.extend(of("needle", angle_checks(source, angle)));
-        let all = m.checks.iter().chain(&checks);
-        self.say(all.filter(|c| !(fresh && c.said)));
         let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
         let reasons: Vec<String> = refused.filter_map(Check::sentence).collect();
+        let all = m.checks.iter().chain(&checks);
+        let all = all.filter(|c| !(fresh && c.said));
+        // Without an angle nothing is to be said of it.
+        self.say(all.filter(|c| reasons.is_empty() || !of_angle(c)));
         if !reasons.is_empty() {
             let given = self.provenance.calibration.as_ref();
             return Err(anyhow::Error::new(NotUsable {
@@ -385,7 +389,10 @@ impl Job<'_> {
         if scanned.is_none() && self.provenance.calibration.is_none() {
             stale.push("calibration.json");
         }
-        reasons.extend(self.put_aside(&stale)?);
+        for words in self.put_aside(&stale)? {
+            self.out.warn(&words);
+            reasons.push(words);
+        }
         if let Some(s) = scanned {
             write_cloud(self.folder, &s.cloud, self.args)?;
         }

@@ -167,12 +167,13 @@ impl Live {
     }
 
     /// Plane, entry and needle, once the last frame is in.
-    /// `file` is what an error names.
+    /// `file` is what an error names, `weak` are the checks of scan and calibration so far.
     pub fn decide(
         mut self,
         file: &Path,
         entry: &Entry,
         needle: &NeedleArgs,
+        mut weak: Vec<Check>,
     ) -> anyhow::Result<Finished> {
         // Nothing is left: the first says why.
         if self.depth.frames() == 0 && !self.left_out.is_empty() {
@@ -189,12 +190,12 @@ impl Live {
         });
         let unusable = self.left_out.iter().map(|e| format!("{e:#}: left out"));
         let left_out: Vec<String> = unusable.chain(dark).collect();
-        let mut weak = vec![Check::held(
+        weak.push(Check::held(
             "scan: frames left out",
             left_out.len() as f64,
             Limit::AtMost(0.0),
             "",
-        )];
+        ));
         weak.extend(left_out.iter().map(|w| Check::caution("scan: frame", w)));
         let times = &self.times;
         let measured = match self.depth {
@@ -224,12 +225,11 @@ fn decide<P: Pixel>(
 }
 
 impl Finished {
-    /// Adds the checks of scan and calibration, and says what is weak; then writes cloud, result and
-    /// report where there is a folder for them.
+    /// Adds the calibration's checks and the angle's, and says what is weak; then writes cloud, result
+    /// and report where there is a folder for them.
     #[allow(clippy::too_many_arguments)]
     pub fn conclude(
         &mut self,
-        weak: Vec<Check>,
         folder: Option<&Path>,
         session: &Session,
         calibration: &CalibrationFile,
@@ -248,7 +248,6 @@ impl Finished {
             begun: self.begun,
             out,
         };
-        self.measured.checks.extend(weak);
         job.weigh(&mut self.measured).map_err(|e| match folder {
             Some(_) => job.refused(e),
             None => e,
@@ -358,7 +357,7 @@ mod tests {
                 });
             }
             let entry = self.session.manifest.entry.as_ref().unwrap();
-            live.decide(self.session.file(), entry, &self.needle)
+            live.decide(self.session.file(), entry, &self.needle, Vec::new())
         }
     }
 

@@ -130,7 +130,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             let began = Instant::now();
             // Whoever stands beside it must know that it may still be on.
             let ask = || {
-                board.status().context(
+                board.status_promptly().context(
                     "the laser was on, and goes off by itself once its lease is over: look at it",
                 )
             };

@@ -1,7 +1,8 @@
 //! `cannula ports`: the serial ports, and what each motion board says of itself.
 
-use super::Output;
+use super::{BadArgument, Output};
 use crate::rig::link::{self, Board, PortDescription};
+use crate::rig::open::SIMULATED;
 use serde_json::{Value, json};
 
 /// Arguments of the command.
@@ -21,6 +22,16 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let mut found: Vec<Value> = Vec::new();
     let mut ports = link::ports()?;
     if let Some(path) = &args.port {
+        if [SIMULATED, "auto"].contains(&path.as_str()) {
+            return Err(BadArgument(format!(
+                "--port {path}: give a port’s path; without --port the boards found are listed"
+            ))
+            .into());
+        }
+        // A link to a port is that port.
+        let real = std::fs::canonicalize(path).ok();
+        let real = real.and_then(|p| p.to_str().map(str::to_owned));
+        let path = real.as_ref().unwrap_or(path);
         ports.retain(|port| port.path == *path);
         if ports.is_empty() {
             ports.push(PortDescription {

@@ -6,7 +6,7 @@ use super::job::{NeedleArgs, measurement_text};
 use super::live::{Live, complain};
 use super::rig::interrupted;
 use crate::output::{CalibrationFile, ScanProvenance, read_calibration};
-use crate::pipeline::{Method, Times, belong_together, calibrate};
+use crate::pipeline::{Method, Times, belong_together, calibrate, without_loss};
 use crate::progress::Progress;
 use crate::rig::acquisition::{Follow, Shot};
 use crate::rig::folder::{self, FolderCamera, RecordedLedger, recorded_anchor, trigger_times};
@@ -55,7 +55,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     })?;
     let image = session.manifest.image;
     let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
-    let weak = belong_together(
+    let mut weak = belong_together(
         session.file(),
         (image.width, image.height),
         &model,
@@ -107,7 +107,8 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     out.finish();
     let (sweep, _) = played?;
     complain(&sweep, Duration::ZERO, out);
-    let finished = live.decide(session.file(), entry, &args.needle);
+    weak.push(without_loss(&scan.frames));
+    let finished = live.decide(session.file(), entry, &args.needle, weak);
     let folder = args.out.as_deref();
     // What rig recorded it is not known; the calibration is, where one was given.
     let file = args.calibration.as_deref();
@@ -118,15 +119,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         Some(folder) => super::live::refused(e, folder, &session, &calibration, needle, with, out),
         None => e,
     })?;
-    finished.conclude(
-        weak,
-        folder,
-        &session,
-        &calibration,
-        needle,
-        provenance,
-        out,
-    )?;
+    finished.conclude(folder, &session, &calibration, needle, provenance, out)?;
     let (measured, after) = (&finished.measured, finished.after.as_secs_f64() * 1000.0);
     let object = json!({
         "frames": sweep.shots, "faults": sweep.complaints(), "points": measured.cloud.len(),

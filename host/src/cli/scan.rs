@@ -5,7 +5,8 @@ use super::Output;
 use super::job::{NeedleArgs, measurement_text};
 use super::live::{Live, complain};
 use super::rig::{RigArgs, interrupted, say_homed};
-use crate::output::{ScanProvenance, read_calibration};
+use crate::checks::{Check, Outcome};
+use crate::output::{ScanProvenance, all_checks, read_calibration};
 use crate::pipeline::belong_together;
 use crate::progress::Progress;
 use crate::rig::acquisition::Acquisition;
@@ -52,6 +53,17 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
             args.calibration.display()
         )
     })?;
+    // What would be refused then is not worth the sweep.
+    let now = jiff::Timestamp::now();
+    let checks = all_checks(&calibration, Some(now), now, None);
+    let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
+    let refused: Vec<String> = refused.filter_map(Check::sentence).collect();
+    anyhow::ensure!(
+        refused.is_empty(),
+        "{}: {}",
+        args.calibration.display(),
+        refused.join("; ")
+    );
     let mut entry = args.entry.as_deref().map(read_entry).transpose()?;
     let cancel = interrupted()?;
     // Before the rig is touched, which another process may be driving.
@@ -120,7 +132,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
                 (Step::Swept, live) => {
                     finished = live
                         .take()
-                        .map(|live| live.decide(&file, &entry, &args.needle));
+                        .map(|live| live.decide(&file, &entry, &args.needle, weak.clone()));
                 }
                 (_, None) => {}
             }
@@ -153,7 +165,6 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
         )
     })?;
     let result = finished.conclude(
-        weak,
         Some(&args.out),
         &session,
         &calibration,

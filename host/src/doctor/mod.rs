@@ -126,7 +126,13 @@ pub fn rig(rig: &Rig) -> (Vec<Check>, Option<(u32, u32)>) {
             }
             Err(e) => {
                 let mut c = Checks::new("board");
-                c.wrong("connection", e.to_string(), "take another simulation.seed");
+                let remedy = match e {
+                    open::OpenError::Checkerboard(_) => {
+                        "change [checkerboard], or simulation.profile"
+                    }
+                    _ => "take another simulation.seed",
+                };
+                c.wrong("connection", e.to_string(), remedy);
                 (c.list, None)
             }
         };

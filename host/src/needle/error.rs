@@ -1,5 +1,7 @@
 //! Why no needle angle is given: each reason with its numbers and a remedy.
 
+use crate::checks::decimals;
+
 /// Why no needle angle is given.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NeedleError {
@@ -164,13 +166,6 @@ pub enum NeedleError {
     /// The points determine no plane.
     #[error("the points of the entry region lie on one line: they determine no plane")]
     Degenerate,
-}
-
-/// So many decimals, from `least`, that a number that breaks a limit does so as it is written.
-fn decimals(value: f64, limit: f64, least: usize) -> usize {
-    const MOST: usize = 6;
-    let apart = |n: &usize| format!("{value:.n$}") != format!("{limit:.n$}");
-    (least..MOST).find(apart).unwrap_or(least)
 }
 
 #[cfg(test)]

@@ -52,6 +52,8 @@ pub const FINE_MM: f64 = 1.25;
 /// so that the vein's line keeps its direction with less noise. (Wider, the bend of the hand turns the line:
 /// by up to 0.05° at 2.5 mm on noise-free hands, 0.14° at 4 mm.)
 pub const BROAD_MM: f64 = 2.0;
+/// Nearer to a measured point, an entry beside the surface is at its edge, mm.
+const AT_EDGE_MM: f64 = 0.05;
 /// A gap of so many usual spacings of the stripes is bridged, however wide they stand.
 pub const GAP_SPACINGS: f64 = 2.6;
 
@@ -328,7 +330,7 @@ impl Surface {
         if gap_mm.is_finite() && distance_mm <= self.gap {
             return NeedleError::Broken;
         }
-        if distance_mm <= self.gap {
+        if distance_mm < AT_EDGE_MM {
             return NeedleError::Edge;
         }
         NeedleError::OffSurface { distance_mm }

@@ -8,7 +8,7 @@ mod trust;
 pub use calibration::{CalibrationFile, LightFile, ViewFile, read_calibration};
 pub use result::{AngleSource, CalibrationSource, ResultFile, ScanProvenance};
 pub use trust::{
-    LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS,
+    LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_OFFSETS_MM, LOOSE_PLANES_MM, OLD_DAYS,
     REFUSED_CORNERS_PX, REFUSED_DAYS, REFUSED_PLANES_MM, age, age_at_scan, age_words, all_checks,
     calibration_checks, moment, seconds,
 };

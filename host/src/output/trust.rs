@@ -3,7 +3,7 @@
 use super::{CalibrationFile, LightFile};
 use crate::calibration::camera::REFUSE_RMS_PX;
 use crate::calibration::light::REFUSE_HOLD_OUT_MM;
-use crate::checks::{self, Check, Limit};
+use crate::checks::{self, Check, Limit, decimals};
 use crate::needle::Uncertainty;
 use jiff::{SignedDuration, Timestamp};
 
@@ -14,6 +14,8 @@ pub const LOOSE_CORNERS_PX: f64 = 0.3;
 /// Positions predicted from the others that miss by more on the mean, mm: ten times what is usual. A slip
 /// of the slide that misses by 0.07 mm turns the hand's normal by half a degree, and no σ holds it.
 pub const LOOSE_PLANES_MM: f64 = 0.02;
+/// The same of positions that are among those they are predicted from (the paper's way): its own level.
+pub const LOOSE_OFFSETS_MM: f64 = 0.1;
 /// Beyond these a calibration is refused: a year without a look at it, corners by which none would be
 /// made today, planes off by twice what the paper's own rig shows.
 pub const REFUSED_DAYS: i64 = 365;
@@ -108,7 +110,9 @@ pub fn calibration_checks(
         );
         let old = old.refused_beyond(Limit::AtMost(REFUSED_DAYS as f64));
         all.push(old.or_beyond(|most| {
-            let days = apart.abs().as_hours() / 24;
+            let days = days(apart).abs();
+            let n = decimals(days, most, 0);
+            let days = format!("{days:.n$}");
             let what = match (scan, apart > SignedDuration::ZERO) {
                 (None, true) => format!("the calibration is {days} days old"),
                 (None, false) => format!("the calibration is of {days} days from now"),
@@ -161,11 +165,15 @@ pub fn calibration_checks(
     )
     .refused_beyond(Limit::Between([0.0, REFUSED_CORNERS_PX]));
     all.push(corners.or_beyond(|most| {
+        let rms = file.camera.rms_px;
+        let n = decimals(rms, most, 2);
         because(
-            format!(
-                "the calibration is loose: corners miss by {:.2} px (more than {most:?})",
-                file.camera.rms_px
-            ),
+            match rms < 0.0 {
+                true => format!("the calibration’s rms_px is {rms:.2}, which no distance is"),
+                false => format!(
+                    "the calibration is loose: corners miss by {rms:.n$} px (more than {most:?})"
+                ),
+            },
             "calibrate again with a flat board, sharp and still",
         )
     }));
@@ -187,15 +195,23 @@ pub fn calibration_checks(
             )
         }));
     }
-    if let Some(miss) = light.and_then(|l| l.hold_out_error_mm.or(l.offset_error_mm)) {
-        let limit = Limit::Between([0.0, LOOSE_PLANES_MM]);
+    let predicted = |l: &LightFile| match l.hold_out_error_mm {
+        Some(miss) => Some((miss, LOOSE_PLANES_MM)),
+        None => Some((l.offset_error_mm?, LOOSE_OFFSETS_MM)),
+    };
+    if let Some((miss, loose)) = light.and_then(predicted) {
+        let limit = Limit::Between([0.0, loose]);
         let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm")
             .refused_beyond(Limit::Between([0.0, REFUSED_PLANES_MM]));
         all.push(planes.or_beyond(|most| {
+            let n = decimals(miss, most, 2);
             because(
-                format!(
-                    "the calibration is loose: light planes are predicted to {miss:.2} mm (more than {most:?})"
-                ),
+                match miss < 0.0 {
+                    true => format!("the calibration’s light planes are predicted to {miss:.2} mm, which no distance is"),
+                    false => format!(
+                        "the calibration is loose: light planes are predicted to {miss:.n$} mm (more than {most:?})"
+                    ),
+                },
                 "check the slide for slip and calibrate again with more board poses",
             )
         }));

@@ -15,7 +15,7 @@ mod views;
 pub use calibration::{Calibrated, Light, calibrate};
 pub use error::PipelineError;
 pub use reconstruction::{FrameResult, Measurement, Reconstruction, Scanned, measure};
-pub(crate) use reconstruction::{belong_together, exposed};
+pub(crate) use reconstruction::{belong_together, exposed, without_loss};
 pub use times::{Stage, Times};
 
 /// Which way a recording is worked on.

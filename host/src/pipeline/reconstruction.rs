@@ -12,7 +12,7 @@ use crate::geometry::{Point3, Vector2};
 use crate::image::{Image, Pixel};
 use crate::needle::{self, Decision, EntryRequest, NeedleError, PlaneMethod};
 use crate::progress::Progress;
-use crate::session::{Depth, Entry, Session};
+use crate::session::{Depth, Entry, Frame, Session};
 use crate::stripe::hand::{self, HandSettings, Surface};
 use crate::stripe::{StripeError, StripePoint, pair, paper};
 use rayon::prelude::*;
@@ -406,7 +406,7 @@ fn run<P: Pixel>(
     let size = (manifest.image.width, manifest.image.height);
     let positions: Vec<f64> = scan.frames.iter().map(|f| f.slide_mm).collect();
     let mut checks = belong_together(session.file(), size, rig, calibrated, &positions)?;
-    checks.push(without_loss(scan.frames.iter().map(|f| f.image.as_str())));
+    checks.push(without_loss(&scan.frames));
     let read = |name: &String| {
         times
             .time(Stage::Read, || session.laser::<P>(name))
@@ -449,9 +449,10 @@ fn run<P: Pixel>(
 
 /// Whether no image is a JPEG: its blocks draw the stripe's centre along by as much for a whole stretch,
 /// which no scatter shows.
-fn without_loss<'a>(names: impl Iterator<Item = &'a str>) -> Check {
-    let jpeg = names
-        .map(|name| Path::new(name).extension().unwrap_or_default())
+pub fn without_loss(frames: &[Frame]) -> Check {
+    let jpeg = frames
+        .iter()
+        .map(|f| Path::new(&f.image).extension().unwrap_or_default())
         .filter(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg"))
         .count();
     let what = "scan: images kept with loss (JPEG)";
@@ -594,10 +595,19 @@ mod tests {
 
     #[test]
     fn a_scan_kept_with_loss_is_said() {
+        let frames = |names: &[&str]| -> Vec<Frame> {
+            let named = |name: &&str| Frame {
+                slide_mm: 0.0,
+                image: (*name).to_owned(),
+                slide_steps: None,
+                trigger_us: None,
+            };
+            names.iter().map(named).collect()
+        };
         let png = ["scan/000.png", "scan/001.PNG", "jpg/2.png"];
-        assert!(without_loss(png.into_iter()).sound());
+        assert!(without_loss(&frames(&png)).sound());
         for name in ["scan/3.jpg", "scan/3.JPEG"] {
-            let check = without_loss(png.into_iter().chain([name]));
+            let check = without_loss(&frames(&[png[0], name, png[2]]));
             assert_eq!(check.value, Some(1.0));
             assert!(check.sentence().is_some_and(|s| s.contains("record PNG")));
         }

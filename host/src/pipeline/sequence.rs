@@ -201,7 +201,9 @@ pub fn follow(cloud: &[CloudPoint], positions: &[f64], axis: Axis, sub_pixel: bo
     let mut lengths: Vec<f64> = positions.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
     let step = median(&mut lengths);
     let fine = (STEP_MM / step).max(1.0);
-    let mut counts: Vec<usize> = SPANS_MM.map(|mm| ((mm / step).round() as usize).max(1)).to_vec();
+    let mut counts: Vec<usize> = SPANS_MM
+        .map(|mm| ((mm / step).round() as usize).max(1))
+        .to_vec();
     counts.insert(0, 1);
     counts.dedup();
     let mut farthest: Option<Pair> = None;
@@ -214,8 +216,16 @@ pub fn follow(cloud: &[CloudPoint], positions: &[f64], axis: Axis, sub_pixel: bo
         if ratios.len() < LEAST_PAIRS {
             continue;
         }
-        let mut off: Vec<f64> = ratios.iter().map(|r| (r.1 - 1.0).abs()).collect();
-        let scatters = 1.4826 * median(&mut off);
+        let off = |r: &(usize, f64)| (r.1 - 1.0).abs();
+        let worst = ratios.iter().max_by(|a, b| off(a).total_cmp(&off(b)));
+        let worst = worst.map_or(0, |r| r.0);
+        // A slip spoils what is foretold around it, too: it must not make its own limit wider.
+        let apart = |r: &&(usize, f64)| r.0.abs_diff(worst) > 2 * count;
+        let mut rest: Vec<f64> = ratios.iter().filter(apart).map(off).collect();
+        if rest.len() < LEAST_PAIRS {
+            rest = ratios.iter().map(off).collect();
+        }
+        let scatters = 1.4826 * median(&mut rest);
         if count == 1 {
             scatter = Some([scatters, SCATTER * fine]);
         }

@@ -234,7 +234,11 @@ impl<'a> Acquisition<'a> {
         Ok(())
     }
 
-    fn go_on(&self) -> Result<(), AcquireError> {
+    /// Between shots: whether it was told to end, and then what can be said of laser and slide.
+    ///
+    /// # Errors
+    /// [`AcquireError::Interrupted`], or [`AcquireError::Unanswered`] where nobody has seen it.
+    pub fn go_on(&self) -> Result<(), AcquireError> {
         if self.cancel.load(Ordering::Relaxed) {
             return Err(self.interrupted());
         }
@@ -334,10 +338,15 @@ impl<'a> Acquisition<'a> {
                 self.rest(self.rig.laser.lead_ms)?;
             }
             let taken = self.single();
-            if laser {
-                self.board.laser(false)?;
-            }
-            let (Some((trigger, frame)), Some(anchor)) = (taken?, self.anchor) else {
+            let off = if laser {
+                self.board.laser(false)
+            } else {
+                Ok(())
+            };
+            // Why there was no frame comes first.
+            let taken = taken?;
+            off?;
+            let (Some((trigger, frame)), Some(anchor)) = (taken, self.anchor) else {
                 continue;
             };
             let mut matcher = Matcher::new(anchor);

@@ -506,12 +506,13 @@ impl Rig {
             ("camera.exposure_laser_ms", self.camera.exposure_laser_ms),
         ] {
             let needed = exposure + self.camera.frame_time_ms;
-            if self.camera.timeout_ms < needed {
+            if self.camera.timeout_ms < needed - 1e-9 {
                 return fail(
                     "camera.timeout_ms",
                     self.camera.timeout_ms.to_string(),
                     &format!(
-                        "at least {needed}: no frame comes sooner than {key} and camera.frame_time_ms after its trigger"
+                        "at least {}: no frame comes sooner than {key} and camera.frame_time_ms after its trigger",
+                        (1e3 * needed).ceil() / 1e3
                     ),
                 );
             }

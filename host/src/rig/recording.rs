@@ -9,6 +9,7 @@ use super::kept::Kept;
 use super::progress::{self, Part, Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
+use crate::output::OutputError;
 use crate::session::{
     self, BoardSpec, CameraView, Entry, Frame, LightPose, Manifest, Scan, SessionError,
 };
@@ -68,7 +69,7 @@ pub enum RecordingError {
         here: String,
     },
     /// Another part's slide has other steps.
-    #[error("{path}: its part \"{part}\" is of a slide with another board.steps_per_mm: {image} lies at {there} mm after {steps} steps, which are {here:.3} mm now; set the ratio back to go on, or give another folder", path = path.display())]
+    #[error("{path}: its part \"{part}\" is of a slide with another board.steps_per_mm, or with another zero: {image} lies at {there} mm after {steps} steps, which are {here:.3} mm now; set it back to go on, or give another folder", path = path.display())]
     Steps {
         /// session.json.
         path: PathBuf,
@@ -332,7 +333,10 @@ impl Recording {
             reason,
         };
         let all = kept.with(&self.manifest).map_err(|e| fail(e.to_string()))?;
-        crate::output::write_json(&path, &all).map_err(|e| fail(e.to_string()))?;
+        crate::output::write_json(&path, &all).map_err(|e| match e {
+            OutputError::Io { source, .. } => fail(source.to_string()),
+            other => fail(other.to_string()),
+        })?;
         Ok(path)
     }
 

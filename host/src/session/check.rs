@@ -348,18 +348,25 @@ impl Checker<'_> {
 
 /// The line of a list and the first of its frames that is off it; `None` where all stand at one place.
 fn fitted(list: &Steps) -> Option<(Line, Option<&Counted>)> {
-    let low = list.iter().min_by(|a, b| a.steps.total_cmp(&b.steps))?;
-    let high = list.iter().max_by(|a, b| a.steps.total_cmp(&b.steps))?;
-    if high.steps == low.steps {
+    let mut sorted: Vec<&Counted> = list.iter().collect();
+    sorted.sort_by(|a, b| a.steps.total_cmp(&b.steps));
+    let slopes = |apart: usize| -> Vec<f64> {
+        let pairs = sorted.iter().zip(sorted.iter().skip(apart));
+        pairs
+            .map(|(p, q)| (q.steps - p.steps, q.mm - p.mm))
+            .filter(|(steps, _)| *steps != 0.0)
+            .map(|(steps, mm)| mm / steps)
+            .collect()
+    };
+    // Theil–Sen's slope over pairs half the list apart: a wrong entry, at an end too, is in two of them.
+    let mut slopes = match slopes(list.len() / 2) {
+        // Most stand at one place.
+        few if few.is_empty() => slopes(1),
+        half => half,
+    };
+    if slopes.is_empty() {
         return None;
     }
-    // Theil–Sen's slope against the ends is enough: one wrong entry must not hide itself.
-    let mut slopes: Vec<f64> = list
-        .iter()
-        .flat_map(|p| [low, high].map(|q| (p.steps - q.steps, p.mm - q.mm)))
-        .filter(|(steps, _)| *steps != 0.0)
-        .map(|(steps, mm)| mm / steps)
-        .collect();
     slopes.sort_by(f64::total_cmp);
     let slope = slopes[slopes.len() / 2];
     let mut offsets: Vec<f64> = list.iter().map(|p| p.mm - slope * p.steps).collect();

@@ -130,8 +130,14 @@ pub fn clear(session: &Path, results: &[PathBuf]) -> Result<(), MarkError> {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
         entries => entries.map_err(failed(session))?,
     };
+    // The mark last: without it nobody would clear what is left.
+    let mut marked = None;
     for entry in entries {
         let path = entry.map_err(failed(session))?.path();
+        if path.ends_with(FILE) {
+            marked = Some(path);
+            continue;
+        }
         let removed = if path.is_dir() {
             std::fs::remove_dir_all(&path)
         } else if path.ends_with(lock::FILE) {
@@ -141,6 +147,9 @@ pub fn clear(session: &Path, results: &[PathBuf]) -> Result<(), MarkError> {
             std::fs::remove_file(&path)
         };
         removed.map_err(failed(&path))?;
+    }
+    if let Some(path) = marked {
+        std::fs::remove_file(&path).map_err(failed(&path))?;
     }
     match std::fs::remove_dir(session) {
         Err(e) if e.kind() != ErrorKind::DirectoryNotEmpty => Err(failed(session)(e)),

@@ -63,7 +63,6 @@ fn drawn(plot: &Plot, width: u32, height: u32) -> Markup {
     html! { figure role="img" aria-label=(plot.title) { (PreEscaped(plot.svg(width, height))) } }
 }
 
-/// Fixed decimals with a true minus.
 /// "1 view", "2 views".
 fn count(n: usize, of: &str) -> String {
     match n {
@@ -72,6 +71,7 @@ fn count(n: usize, of: &str) -> String {
     }
 }
 
+/// Fixed decimals with a true minus.
 fn number(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "–".into();

@@ -15,7 +15,7 @@ pub use puncture::puncture_folder;
 use super::model::Provenance;
 use crate::needle::surface::{BROAD_MM, FINE_MM, GAP_SPACINGS};
 use crate::output::{
-    LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_PLANES_MM, OLD_DAYS,
+    LOOSE_AXIS_DEG, LOOSE_CORNERS_PX, LOOSE_ENTRY_MM, LOOSE_OFFSETS_MM, LOOSE_PLANES_MM, OLD_DAYS,
     REFUSED_CORNERS_PX, REFUSED_DAYS, REFUSED_PLANES_MM,
 };
 use crate::pipeline::{Method, Times};
@@ -139,7 +139,7 @@ pub fn calibration_settings(method: Method) -> Vec<(String, String)> {
         ),
         (
             "calibration: loose if planes are predicted to",
-            format!("{LOOSE_PLANES_MM} mm"),
+            format!("{LOOSE_PLANES_MM} mm ({LOOSE_OFFSETS_MM} mm without hold-out)"),
         ),
         (
             "calibration: loose if it alone leaves entry, angle to",

@@ -49,11 +49,16 @@ impl Acquisition<'_> {
         }
         let since = self.host_us();
         let served = self.serve(since, index, faults);
-        let status = self.board.status()?;
-        if laser {
-            self.board.laser(false)?;
-        }
+        // Why there was no frame comes first.
+        let status = self.board.status();
+        let off = if laser {
+            self.board.laser(false)
+        } else {
+            Ok(())
+        };
         let served = served?;
+        let status = status?;
+        off?;
         if laser && !status.laser {
             return Err(AcquireError::Dark(index));
         }
