@@ -124,7 +124,7 @@ impl Sequence {
                 false => check.or(|| {
                     (
                         format!(
-                            "from frame {} to frame {} the stripe moves {:.2} times as far as the slide’s travel asks for: did the hand move, or the slide slip?",
+                            "from frame {} to frame {} the stripe moves {:.2} times as far as the slide’s travel asks for, as if the hand had moved or the slide slipped",
                             f.frames[0], f.frames[1], f.ratio
                         ),
                         "scan again with the hand at rest; if it is there again, look at the slide".to_owned(),
