@@ -99,31 +99,38 @@ fn an_entry_beside_the_hand_is_refused() {
     );
 }
 
-/// From well inside to beside the hand: at no place is the surface called away that is not.
+/// From inside to beside the hand, and at the stripes' ends: nowhere is the surface called 0.0 mm away.
 #[test]
 fn an_entry_at_the_edge_is_said_to_be_there() {
     let (hand, rig, request) = scene(4);
     let points = cloud(&hand.stripes(&rig), &rig, 0.0, 1, &mut Noise(1));
-    let mut at_edge = 0;
-    for quarter in 4 * 90..4 * 125 {
-        let px = 0.25 * f64::from(quarter);
+    let beside = (90..125).map(|px| request.pixel + Vector2::new(f64::from(px), 0.0));
+    let last = points.iter().map(|p| p.frame).max().unwrap();
+    let ends = (0..=last).filter_map(|frame| {
+        let stripe = points.iter().filter(|p| p.frame == frame);
+        stripe.map(|p| p.pixel).max_by(|a, b| a.x.total_cmp(&b.x))
+    });
+    let (mut at_edge, mut off) = (0, 0);
+    for pixel in beside.chain(ends) {
         let mut request = request.clone();
-        request.pixel += Vector2::new(px, 0.0);
+        request.pixel = pixel;
         match decide(&points, &rig, &request, &Settings::default()) {
             Err(NeedleError::Edge) => at_edge += 1,
             // A figure that shows why.
             Err(said @ NeedleError::OffSurface { .. }) => {
                 assert!(!said.to_string().contains("is 0.0 mm away"), "{said}");
+                off += 1;
             }
             Err(
                 NeedleError::Broken
                 | NeedleError::NotCovered { .. }
-                | NeedleError::TooFewPoints { .. },
+                | NeedleError::TooFewPoints { .. }
+                | NeedleError::Hole { .. },
             ) => {}
-            said => panic!("{px} px: {said:?}"),
+            said => panic!("{pixel}: {said:?}"),
         }
     }
-    assert!(at_edge > 0);
+    assert!(at_edge > 0 && off > 0, "{at_edge} {off}");
 }
 
 #[test]

@@ -592,7 +592,7 @@ mod tests {
         let mut rig = Rig::default();
         for part in [Part::Light, Part::Scan] {
             let said = r.bind(part, &rig, false).unwrap_err().to_string();
-            let words = "its part \"light\" is of a slide with another board.steps_per_mm: light/00/on_12.png lies at 60 mm after 19200 steps, which are 24.000 mm now";
+            let words = "its part \"light\" is of a slide with another board.steps_per_mm, or with another zero: light/00/on_12.png lies at 60 mm after 19200 steps, which are 24.000 mm now";
             assert!(said.contains(words), "{said}");
             assert!(!r.manifest.recorded.settings.contains_key(part.name()));
         }
