@@ -177,6 +177,12 @@ pub fn sentences(checks: &[Check]) -> Vec<String> {
     checks.iter().filter_map(Check::sentence).collect()
 }
 
+/// What refuses a result, a sentence each.
+pub fn refused_sentences(checks: &[Check]) -> Vec<String> {
+    let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
+    refused.filter_map(Check::sentence).collect()
+}
+
 /// The verdict of these checks: "usable", "usable with caution" where one of them is not sound, "not
 /// usable" where one refuses.
 pub fn verdict(checks: &[Check]) -> &'static str {

@@ -5,7 +5,7 @@
 #![cfg(feature = "aravis")]
 
 use cannula::rig::acquisition::{AcquireError, Acquisition, Sweep};
-use cannula::rig::camera::{Camera, CameraError, Exposure, Picture};
+use cannula::rig::camera::{Camera, CameraError, Exposure, Frame, Picture};
 use cannula::rig::config::{self, Mode, Rig, TriggerSource};
 use cannula::rig::genicam::GenicamCamera;
 use cannula::rig::link::Board;
@@ -273,24 +273,35 @@ fn a_line_that_never_fires_ends_in_a_time_out() {
     assert_eq!(board.trace().rises(Pin::Laser).count(), 0);
 }
 
+/// Frames that are asked for one by one of a camera that loses so many of a thousand packets; `None` for
+/// those that do not come within `patience`. By its count each is the one just asked for, whatever
+/// became of those before.
+fn lossy(per_mille: &str, frames: u64, patience: Duration) -> Vec<Option<Frame>> {
+    let _fake = Fake::start(&["-r", per_mille]);
+    let mut camera = Fake::open(TriggerSource::Software);
+    camera.arm(&PLAIN).unwrap();
+    let mut first = None;
+    let mut ask = |i: u64| {
+        camera.fire().unwrap();
+        let frame = camera.wait(patience).unwrap()?;
+        let count = frame.sequence.wrapping_sub(i);
+        assert_eq!(count, *first.get_or_insert(count), "frame {i}");
+        Some(frame)
+    };
+    (0..frames).map(&mut ask).collect()
+}
+
 #[test]
 fn lost_packets_never_make_a_wrong_picture() {
     let _one = PORT.lock().unwrap_or_else(PoisonError::into_inner);
-    // Three packets in a thousand are lost; a picture takes some 220.
-    let _fake = Fake::start(&["-r", "3"]);
-    let mut camera = Fake::open(TriggerSource::Software);
-    camera.arm(&PLAIN).unwrap();
     let (mut whole, mut broken, mut missing) = (0, 0, 0);
-    let (mut first, mut began) = (None, None);
-    for i in 0..60u64 {
-        camera.fire().unwrap();
-        let Some(frame) = camera.wait(Duration::from_secs(2)).unwrap() else {
+    let mut began = None;
+    // Three packets in a thousand are lost; a picture takes some 220.
+    for (i, frame) in (0..).zip(lossy("3", 60, Duration::from_secs(2))) {
+        let Some(frame) = frame else {
             missing += 1;
             continue;
         };
-        // By its count it is the one just asked for, whatever became of those before.
-        let count = frame.sequence.wrapping_sub(i);
-        assert_eq!(count, *first.get_or_insert(count), "frame {i}");
         match &frame.picture {
             Some(picture) => {
                 let shown = phase(picture).unwrap_or_else(|| panic!("frame {i}: passes for whole"));
@@ -304,29 +315,21 @@ fn lost_packets_never_make_a_wrong_picture() {
     // A picture comes whole with 0.997^220 = 52 %.
     println!("{whole} whole, {broken} broken, {missing} missing");
     assert!((14..49).contains(&whole), "{whole}");
-    drop(camera);
 }
 
 /// A frame's first packet says which one it is. Where that is lost, too, nobody may guess.
 #[test]
 fn a_frame_without_its_first_packet_takes_no_other_s_number() {
     let _one = PORT.lock().unwrap_or_else(PoisonError::into_inner);
-    // Two packets in five: no picture comes whole, and some without their first one.
-    let _fake = Fake::start(&["-r", "400"]);
-    let mut camera = Fake::open(TriggerSource::Software);
-    camera.arm(&PLAIN).unwrap();
-    // More than there are buffers, so that each was used before.
     let (mut broken, mut missing, mut newest) = (0, 0, i64::MIN);
-    let mut first = None;
-    for i in 0..80u64 {
-        camera.fire().unwrap();
-        let Some(frame) = camera.wait(Duration::from_millis(600)).unwrap() else {
+    // Two packets in five: no picture comes whole, and some without their first one. More frames than
+    // there are buffers, so that each was used before.
+    for (i, frame) in (0..80).zip(lossy("400", 80, Duration::from_millis(600))) {
+        let Some(frame) = frame else {
             missing += 1;
             continue;
         };
         assert!(frame.picture.is_none(), "frame {i}: passes for whole");
-        let count = frame.sequence.wrapping_sub(i);
-        assert_eq!(count, *first.get_or_insert(count), "frame {i}");
         assert!(frame.time_us > newest, "frame {i}");
         newest = frame.time_us;
         broken += 1;

@@ -5,7 +5,7 @@
 use super::Output;
 use super::job::{Job, NeedleArgs, calibration_text, measurement_text};
 use super::live::complain;
-use super::rig::{interrupted, say_homed};
+use super::rig::{interrupted, make_way, say_homed};
 use crate::calibration::LightModel;
 use crate::output::{CalibrationFile, ScanProvenance, write_json};
 use crate::pipeline::{Calibrated, Measurement, Method, Times, calibrate};
@@ -16,7 +16,6 @@ use crate::rig::capture::{LightOutcome, PoseOutcome, Step, camera_pose, light_po
 use crate::rig::config::Rig;
 use crate::rig::guide::Guide;
 use crate::rig::light_guide::LightGuide;
-use crate::rig::lock::Lock;
 use crate::rig::open::{self, SIMULATED};
 use crate::rig::progress::Part;
 use crate::rig::recording::Recording;
@@ -63,28 +62,12 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     let begun = Instant::now();
     let folder = args.out.join("session");
     let results = RESULTS.map(|name| args.out.join(name));
-    let replace = || {
-        let stands = match mark::used(&folder) {
-            true => Some(&folder),
-            false => results.iter().find(|p| p.exists()),
-        };
-        let Some(path) = stands else {
-            return Ok(false);
-        };
-        anyhow::ensure!(
-            args.force,
-            "{}: stands there; give another folder, or --force to replace a demo",
-            path.display()
-        );
-        mark::clearable(&folder, &results)?;
-        Ok(true)
-    };
-    // Where nothing is to be written, not even a lock; and what stands once it is taken counts.
-    replace()?;
-    let _lock = Lock::take(&folder)?;
-    if replace()? {
-        mark::clear(&folder, &results)?;
-    }
+    let _lock = make_way(&folder, &results, args.force, "demo", || {
+        match mark::used(&folder) {
+            true => Some(folder.clone()),
+            false => results.iter().find(|p| p.exists()).cloned(),
+        }
+    })?;
     let rig = demo_rig(&args);
     let (truth, renderer) = record(&rig, &folder, out)?;
     let recorded_s = begun.elapsed().as_secs_f64();

@@ -3,7 +3,7 @@
 use super::Output;
 use super::puncture::SIMULATED_DEG;
 pub use super::summary::{calibration as calibration_text, measurement as measurement_text};
-use crate::checks::{Check, Outcome, of};
+use crate::checks::{Check, Outcome, of, refused_sentences};
 use crate::needle;
 use crate::output::{
     AngleSource, CalibrationFile, OutputError, ResultFile, ScanProvenance, all_checks, write_json,
@@ -227,11 +227,6 @@ impl Job<'_> {
                 now.duration_since(then).as_secs_f64() <= self.begun.elapsed().as_secs_f64() + 1.0
             });
         let scan = self.session.manifest.recorded.scan();
-        // Those of a refused hand; the report adds the calibration's own.
-        let needle: Vec<Check> = of("needle", m.decision.checks.iter().cloned()).collect();
-        let of_angle = |c: &&Check| c.part == "needle" && c.what.starts_with("needle angle");
-        let alone = m.checks.iter().chain(&needle).filter(|c| !of_angle(c));
-        let alone: Vec<Check> = alone.cloned().collect();
         let mut checks = all_checks(self.calibration, scan, now, Some(&m.decision.uncertainty));
         if self.provenance.rig.is_some() {
             let real = !self.simulated();
@@ -244,26 +239,28 @@ impl Job<'_> {
                 })],
             ));
         }
-        checks.extend(needle);
+        checks.extend(of("needle", m.decision.checks.iter().cloned()));
         let (settings, source) = self.args.settings();
         let given = self.args.needle_angle;
         let angle = given.unwrap_or(settings.angle.to_degrees());
         checks.extend(of("needle", angle_checks(source, angle)));
-        let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
-        let reasons: Vec<String> = refused.filter_map(Check::sentence).collect();
+        let reasons = refused_sentences(&checks);
+        let of_angle = |c: &&Check| c.part == "needle" && c.what.starts_with("needle angle");
         let all = m.checks.iter().chain(&checks);
         let all = all.filter(|c| !(fresh && c.said));
         // Without an angle nothing is to be said of it.
         self.say(all.filter(|c| reasons.is_empty() || !of_angle(c)));
         if !reasons.is_empty() {
             let given = self.provenance.calibration.as_ref();
+            // The report adds the calibration's own.
+            let of_needle = checks.iter().filter(|c| c.part == "needle" && !of_angle(c));
             return Err(anyhow::Error::new(NotUsable {
                 file: given.map_or_else(|| self.session.file().to_owned(), |c| c.file.clone()),
                 reasons,
                 scanned: Scanned {
                     cloud: std::mem::take(&mut m.cloud),
                     request: m.request.clone(),
-                    checks: alone,
+                    checks: m.checks.iter().chain(of_needle).cloned().collect(),
                 },
             }));
         }

@@ -2,6 +2,8 @@
 
 use super::Output;
 use crate::rig::config::Rig;
+use crate::rig::lock::Lock;
+use crate::simulation::mark;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
@@ -60,4 +62,34 @@ pub fn say_homed(homed: Option<crate::rig::link::Homed>, rig: &Rig, out: &Output
             1000.0 * rig.mm(i64::from(homed.apart)).abs()
         ));
     }
+}
+
+/// Takes the lock of a folder that a simulation is to be recorded into, and clears the one that stands
+/// there. `stands` tells what is in the way, `what` is it that `force` replaces, with the `results` beside.
+pub fn make_way(
+    folder: &Path,
+    results: &[PathBuf],
+    force: bool,
+    what: &str,
+    stands: impl Fn() -> Option<PathBuf>,
+) -> anyhow::Result<Lock> {
+    let replace = || {
+        let Some(path) = stands() else {
+            return Ok(false);
+        };
+        anyhow::ensure!(
+            force,
+            "{}: stands there; give another folder, or --force to replace a {what}",
+            path.display()
+        );
+        mark::clearable(folder, results)?;
+        Ok(true)
+    };
+    // Where nothing is to be written, not even a lock; and what stands once it is taken counts.
+    replace()?;
+    let lock = Lock::take(folder)?;
+    if replace()? {
+        mark::clear(folder, results)?;
+    }
+    Ok(lock)
 }

@@ -5,7 +5,7 @@ use super::Output;
 use super::job::{NeedleArgs, measurement_text};
 use super::live::{Live, complain};
 use super::rig::{RigArgs, interrupted, say_homed};
-use crate::checks::{Check, Outcome};
+use crate::checks::refused_sentences;
 use crate::output::{ScanProvenance, all_checks, read_calibration};
 use crate::pipeline::belong_together;
 use crate::progress::Progress;
@@ -56,8 +56,7 @@ pub fn run(args: Args, out: &Output) -> anyhow::Result<()> {
     // What would be refused then is not worth the sweep.
     let now = jiff::Timestamp::now();
     let checks = all_checks(&calibration, Some(now), now, None);
-    let refused = checks.iter().filter(|c| c.outcome == Outcome::Refused);
-    let refused: Vec<String> = refused.filter_map(Check::sentence).collect();
+    let refused = refused_sentences(&checks);
     anyhow::ensure!(
         refused.is_empty(),
         "{}: {}",

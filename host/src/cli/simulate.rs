@@ -1,9 +1,8 @@
 //! `cannula simulate`: recordings of the simulated rig with their truth, or the simulated board
 //! behind a pseudo-terminal for other programs.
 
-use super::rig::{RigArgs, interrupted};
+use super::rig::{RigArgs, interrupted, make_way};
 use super::{BadArgument, Output};
-use crate::rig::lock::Lock;
 use crate::rig::open::{scene, simulated_board};
 use crate::simulation::{Profile, mark, record_scene};
 use std::path::{Path, PathBuf};
@@ -51,24 +50,9 @@ fn session(folder: &Path, args: &Args, out: &Output) -> anyhow::Result<()> {
             Some(path) => anyhow::anyhow!("{}: {e}", path.display()),
             None => e.into(),
         })?;
-    let replace = || {
-        let Some(part) = mark::stands(folder) else {
-            return Ok(false);
-        };
-        anyhow::ensure!(
-            args.force,
-            "{}: stands there; give another folder, or --force to replace a simulated recording",
-            part.display()
-        );
-        mark::clearable(folder, &[])?;
-        Ok(true)
-    };
-    // Where nothing is to be written, not even a lock; and what stands once it is taken counts.
-    replace()?;
-    let _lock = Lock::take(folder)?;
-    if replace()? {
-        mark::clear(folder, &[])?;
-    }
+    let _lock = make_way(folder, &[], args.force, "simulated recording", || {
+        mark::stands(folder)
+    })?;
     mark::begin(folder)?;
     let truth = record_scene(folder, scene, out)?;
     let n = truth.plane.normal;

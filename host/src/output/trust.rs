@@ -157,26 +157,19 @@ pub fn calibration_checks(
             REMAKE,
         )
     }));
-    let corners = Check::held(
-        "calibration: corners off the fitted boards, RMS",
-        file.camera.rms_px,
-        Limit::Between([0.0, LOOSE_CORNERS_PX]),
-        "px",
-    )
-    .refused_beyond(Limit::Between([0.0, REFUSED_CORNERS_PX]));
-    all.push(corners.or_beyond(|most| {
-        let rms = file.camera.rms_px;
-        let n = decimals(rms, most, 2);
-        because(
-            match rms < 0.0 {
-                true => format!("the calibration’s rms_px is {rms:.2}, which no distance is"),
-                false => format!(
-                    "the calibration is loose: corners miss by {rms:.n$} px (more than {most:?})"
-                ),
-            },
-            "calibrate again with a flat board, sharp and still",
-        )
-    }));
+    let rms = file.camera.rms_px;
+    all.push(stated(
+        Check::held(
+            "calibration: corners off the fitted boards, RMS",
+            rms,
+            Limit::Between([0.0, LOOSE_CORNERS_PX]),
+            "px",
+        ),
+        rms,
+        REFUSED_CORNERS_PX,
+        ["corners miss by", &format!("rms_px is {rms:.2}")],
+        "calibrate again with a flat board, sharp and still",
+    ));
     let light = file.light.as_ref();
     all.push(
         Check::is("calibration: has light planes", light.is_some()).or(|| {
@@ -201,25 +194,39 @@ pub fn calibration_checks(
     };
     if let Some((miss, loose)) = light.and_then(predicted) {
         let limit = Limit::Between([0.0, loose]);
-        let planes = Check::held("calibration: light planes as predicted", miss, limit, "mm")
-            .refused_beyond(Limit::Between([0.0, REFUSED_PLANES_MM]));
-        all.push(planes.or_beyond(|most| {
-            let n = decimals(miss, most, 2);
-            because(
-                match miss < 0.0 {
-                    true => format!("the calibration’s light planes are predicted to {miss:.2} mm, which no distance is"),
-                    false => format!(
-                        "the calibration is loose: light planes are predicted to {miss:.n$} mm (more than {most:?})"
-                    ),
-                },
-                "check the slide for slip and calibrate again with more board poses",
-            )
-        }));
+        all.push(stated(
+            Check::held("calibration: light planes as predicted", miss, limit, "mm"),
+            miss,
+            REFUSED_PLANES_MM,
+            [
+                "light planes are predicted to",
+                &format!("light planes are predicted to {miss:.2} mm"),
+            ],
+            "check the slide for slip and calibrate again with more board poses",
+        ));
     }
     all.extend(light.and_then(own_planes));
     all.extend(file.checks.iter().cloned());
     all.extend(own_words(file));
     all
+}
+
+/// A distance that a calibration states of itself, held against what is loose: refused beyond a second
+/// limit, or where it is none. `says` leads to the figure, or says it all where that is negative.
+fn stated(check: Check, value: f64, refused: f64, says: [&str; 2], remedy: &str) -> Check {
+    let check = check.refused_beyond(Limit::Between([0.0, refused]));
+    let unit = check.unit.clone();
+    check.or_beyond(|most| {
+        let n = decimals(value, most, 2);
+        let words = match value < 0.0 {
+            true => format!("the calibration’s {}, which no distance is", says[1]),
+            false => format!(
+                "the calibration is loose: {} {value:.n$} {unit} (more than {most:?})",
+                says[0]
+            ),
+        };
+        (words, remedy.to_owned())
+    })
 }
 
 /// Whether D = a·x + b is the line of the planes in the same file. Each of those has a normal of its

@@ -94,7 +94,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
             let scanned = scanned.iter().flat_map(|s| s.checks.iter().cloned());
             let calibration = of_calibration();
             // What the calibration's own checks refuse stands among them.
-            let told = refused_words(&calibration);
+            let told = checks::refused_sentences(&calibration);
             let first = reasons.first().filter(|r| !told.contains(r));
             let checks = refusals(part, first.map_or(&[], std::slice::from_ref));
             (checks.chain(scanned).chain(calibration).collect(), reasons)
@@ -107,7 +107,7 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
     let verdict = Verdict {
         usable: checks.iter().all(|c| c.outcome != checks::Outcome::Refused),
         reasons: match reasons {
-            [] => refused_words(&checks),
+            [] => checks::refused_sentences(&checks),
             reasons => reasons.to_vec(),
         },
         warnings: checks
@@ -161,14 +161,6 @@ pub fn assemble(s: Sources) -> Result<Report, ReportError> {
 
 /// The part whose checks stand in the calibration's section too.
 const CALIBRATION: &str = "calibration";
-
-/// What refuses, in words.
-fn refused_words(checks: &[Check]) -> Vec<String> {
-    let refused = checks
-        .iter()
-        .filter(|c| c.outcome == checks::Outcome::Refused);
-    refused.filter_map(Check::sentence).collect()
-}
 
 /// What refuses, as checks.
 fn refusals<'a>(part: &'a str, reasons: &'a [String]) -> impl Iterator<Item = Check> + 'a {

@@ -9,7 +9,6 @@ use super::kept::Kept;
 use super::progress::{self, Part, Progress, Settings};
 use super::writer::{WriteError, Writer, write_whole};
 use crate::board::BoardGeometry;
-use crate::output::OutputError;
 use crate::session::{
     self, BoardSpec, CameraView, Entry, Frame, LightPose, Manifest, Scan, SessionError,
 };
@@ -328,16 +327,11 @@ impl Recording {
         };
         let path = self.folder.join("session.json");
         session::check(&self.manifest, &path)?;
-        let fail = |reason| WriteError {
-            path: path.clone(),
-            reason,
-        };
-        let all = kept.with(&self.manifest).map_err(|e| fail(e.to_string()))?;
-        crate::output::write_json(&path, &all).map_err(|e| match e {
-            OutputError::Io { source, .. } => fail(source.to_string()),
-            other => fail(other.to_string()),
+        let all = kept.with(&self.manifest).map_err(|e| WriteError {
+            path,
+            reason: e.to_string(),
         })?;
-        Ok(path)
+        Ok(session::write_checked(&self.folder, &all)?)
     }
 
     /// A background writer for this machine.

@@ -3,6 +3,7 @@
 
 use super::error::SessionError;
 use super::model::{FORMAT, Frame, Manifest};
+use crate::median::median;
 use std::path::{Path, PathBuf};
 
 /// Longest side of an image that is believed, px.
@@ -367,13 +368,11 @@ fn fitted(list: &Steps) -> Option<(Line, Option<&Counted>)> {
     if slopes.is_empty() {
         return None;
     }
-    slopes.sort_by(f64::total_cmp);
-    let slope = slopes[slopes.len() / 2];
+    let slope = median(&mut slopes);
     let mut offsets: Vec<f64> = list.iter().map(|p| p.mm - slope * p.steps).collect();
-    offsets.sort_by(f64::total_cmp);
     let line = Line {
         slope,
-        offset: offsets[offsets.len() / 2],
+        offset: median(&mut offsets),
     };
     let tolerance = STEP_TOLERANCE_MM.max(2.0 * slope.abs());
     let astray = |p: &&Counted| !((p.mm - line.at(p.steps)).abs() <= tolerance);

@@ -19,6 +19,7 @@ pub use model::{
     BoardSpec, CameraView, Colour, Entry, FORMAT, Frame, ImageSize, Laser, LightPose, Manifest,
     Scan,
 };
+pub(crate) use write::write_checked;
 pub use write::{write, write_png};
 
 use crate::image::{Image, Pixel};

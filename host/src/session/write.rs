@@ -10,8 +10,16 @@ use std::path::{Path, PathBuf};
 /// Checks `manifest` and writes it as `session.json` into `folder` (made if it is not there).
 /// The file appears whole or not at all. Gives its path.
 pub fn write(folder: &Path, manifest: &Manifest) -> Result<PathBuf, SessionError> {
+    check(manifest, &folder.join("session.json"))?;
+    write_checked(folder, manifest)
+}
+
+/// Writes session.json, of a manifest that was checked, with what else may stand in it.
+pub(crate) fn write_checked(
+    folder: &Path,
+    manifest: &impl serde::Serialize,
+) -> Result<PathBuf, SessionError> {
     let path = folder.join("session.json");
-    check(manifest, &path)?;
     let io = |source| SessionError::Io {
         path: path.clone(),
         source,
